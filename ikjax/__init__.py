@@ -1,0 +1,13 @@
+"""ikjax: closed-form inverse kinematics as differentiable JAX."""
+
+from ikjax.arm import robots
+from ikjax.arm.arm import Arm
+from ikjax.arm.forward import fk, frames
+from ikjax.arm.jacobian import jacobian
+from ikjax.core.pose import planar_pose, pose, pose_error, position
+from ikjax.ik.check import check_goals, explain
+from ikjax.ik.select import nearest, within_limits
+from ikjax.ik.solutions import Solutions
+from ikjax.ik.solve import solve
+
+__version__ = "0.1.0"

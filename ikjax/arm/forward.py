@@ -1,0 +1,161 @@
+"""Forward kinematics: where every link and the tool stand.
+
+Storey: arm.
+Source: Spong, Robot Modeling and Control, equation (3.10).
+"""
+
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ikjax.arm.arm import Arm, numbers
+from ikjax.core import pose as poses
+from ikjax.core import vector
+from ikjax.core.pose import Pose
+from ikjax.core.trig import Scalar, sincos
+from ikjax.core.vector import plus, times
+
+
+class Link(NamedTuple):
+    """One row of the standard DH table, in scalars."""
+
+    kind: str
+    a: Scalar
+    sin_alpha: Scalar
+    cos_alpha: Scalar
+    d: Scalar
+    theta: Scalar
+
+
+def _twist(alpha: Scalar, noise: float) -> tuple[Scalar, Scalar]:
+    """Sine and cosine of a twist, exactly 0, 1 or -1 where rounding alone keeps them from it."""
+    if isinstance(alpha, float):
+        exact = (math.sin(alpha), math.cos(alpha))
+        return tuple(float(round(x)) if abs(x - round(x)) < noise else x for x in exact)
+    # The value is snapped, the slope is not: twists stay differentiable.
+    return tuple(
+        x + jax.lax.stop_gradient(jnp.where(jnp.abs(x) < noise, -x, 0)) for x in sincos(alpha)
+    )
+
+
+def links(arm: Arm) -> tuple[Link, ...]:
+    """The table in scalars."""
+    noise = 4 * float(np.finfo(arm.dtype).eps)
+    rows = zip(
+        arm.kinds,
+        numbers(arm.a),
+        [_twist(alpha, noise) for alpha in numbers(arm.alpha)],
+        numbers(arm.d),
+        numbers(arm.theta),
+        strict=True,
+    )
+    return tuple(Link(kind, a, s, c, d, theta) for kind, a, (s, c), d, theta in rows)
+
+
+def fixed_pose(matrix) -> Pose:
+    """A (4, 4) leaf in scalars."""
+    rows = [numbers(matrix[i]) for i in range(3)]
+    return Pose(tuple(row[:3] for row in rows), tuple(row[3] for row in rows))
+
+
+class Joint(NamedTuple):
+    """Where a link's joint stands: the DH angle as sine and cosine, and the DH offset."""
+
+    sin: Scalar
+    cos: Scalar
+    d: Scalar
+
+
+def advance(frame: Pose, link: Link, joint: Joint) -> Pose:
+    """The frame after the link: T_0_i from T_0_(i-1)."""
+    x, y, z = vector.transpose(frame.rotation)
+    ahead = _mix(joint.cos, x, joint.sin, y)
+    aside = _mix(joint.cos, y, -joint.sin, x)
+    s, c = link.sin_alpha, link.cos_alpha
+    axes = (ahead, _mix(c, aside, s, z), _mix(c, z, -s, aside))
+    step = _mix(link.a, ahead, joint.d, z)
+    return Pose(vector.transpose(axes), vector.add(frame.position, step))
+
+
+def unwind(goal: Pose, link: Link, joint: Joint) -> Pose:
+    """The goal seen from the frame after the link: T_i_goal from T_(i-1)_goal."""
+
+    def turned(x, y, z):
+        ahead, aside = (
+            _sum(joint.cos, x, joint.sin, y),
+            _sum(joint.cos, y, -joint.sin, x),
+        )
+        return ahead, aside, z
+
+    def tilted(x, y, z):
+        s, c = link.sin_alpha, link.cos_alpha
+        return x, _sum(c, y, s, z), _sum(c, z, -s, y)
+
+    columns = (tilted(*turned(*column)) for column in vector.transpose(goal.rotation))
+    x, y, z = turned(*goal.position)
+    return Pose(vector.transpose(tuple(columns)), tilted(plus(x, -link.a), y, plus(z, -joint.d)))
+
+
+def strip(goal: Pose, link: Link, joint: Joint) -> Pose:
+    """The goal with its last link taken off: T_0_(i-1) from T_0_i."""
+    x, y, z = vector.transpose(goal.rotation)
+    s, c = link.sin_alpha, link.cos_alpha
+    y, z = _mix(c, y, -s, z), _mix(s, y, c, z)
+    step = _mix(link.a, x, joint.d, z)
+    x, y = _mix(joint.cos, x, -joint.sin, y), _mix(joint.sin, x, joint.cos, y)
+    return Pose(vector.transpose((x, y, z)), vector.subtract(goal.position, step))
+
+
+def _sum(a: Scalar, u: Scalar, b: Scalar, v: Scalar) -> Scalar:
+    return plus(times(a, u), times(b, v))
+
+
+def _mix(a: Scalar, u: vector.Vector, b: Scalar, v: vector.Vector) -> vector.Vector:
+    return vector.add(vector.scale(a, u), vector.scale(b, v))
+
+
+def _chain(arm: Arm, q: jax.Array) -> list[Pose]:
+    frame = fixed_pose(arm.base)
+    frames = [frame]
+    for i, link in enumerate(links(arm)):
+        turn, slide = (q[..., i], 0) if link.kind == "R" else (0, q[..., i])
+        joint = Joint(*sincos(link.theta + turn), link.d + slide)
+        frame = advance(frame, link, joint)
+        frames.append(frame)
+    return frames
+
+
+def check_joints(arm: Arm, q) -> jax.Array:
+    """q as an array of the arm's type, (..., n)."""
+    q = jnp.asarray(q, arm.dtype)
+    if q.ndim == 0 or q.shape[-1] != arm.n:
+        raise ValueError(f"q must have shape (..., {arm.n}) for {arm.name}, got {q.shape}")
+    return q
+
+
+def fk(arm: Arm, q) -> jax.Array:
+    """Where the tool stands.
+
+    Args:
+        arm: The arm.
+        q: Joint values [rad, m], (..., n).
+
+    Returns:
+        T_world_tool, (..., 4, 4).
+
+    Raises:
+        ValueError: q of another length.
+    """
+    last = _chain(arm, check_joints(arm, q))[-1]
+    return poses.to_matrix(poses.compose(last, fixed_pose(arm.tool)))
+
+
+def frames(arm: Arm, q) -> jax.Array:
+    """Where the base and every link stand: (..., n + 1, 4, 4), base first, the tool left out."""
+    q = check_joints(arm, q)
+    zero = jnp.zeros_like(q[..., 0])
+    spread = [jax.tree.map(lambda x: x + zero, frame) for frame in _chain(arm, q)]
+    return jnp.stack([poses.to_matrix(frame) for frame in spread], axis=-3)

@@ -1,0 +1,45 @@
+"""Square roots, lengths and quotients with a finite value and a finite slope at every edge.
+
+Storey: core. Everything above handles its edges by calling these.
+"""
+
+import jax
+import jax.numpy as jnp
+
+from ikjax.core.trig import Scalar
+
+
+def sqrt(x: Scalar) -> jax.Array:
+    """Square root that is flat, not infinite, at and below zero."""
+    inside = x > 0
+    # Two masks on purpose: the inner one keeps the unused side finite, because
+    # reverse mode multiplies its slope by zero, and 0 * inf is NaN.
+    return jnp.where(inside, jnp.sqrt(jnp.where(inside, x, 1)), 0)
+
+
+def reciprocal_sqrt(x: Scalar) -> jax.Array:
+    """1 / sqrt(x), and zero at and below zero."""
+    inside = x > 0
+    return jnp.where(inside, 1 / jnp.sqrt(jnp.where(inside, x, 1)), 0)
+
+
+def divide(numerator: Scalar, denominator: Scalar) -> jax.Array:
+    """Quotient, and zero where the denominator is zero."""
+    usable = denominator != 0
+    return jnp.where(usable, numerator / jnp.where(usable, denominator, 1), 0)
+
+
+def norm(*components: Scalar) -> jax.Array:
+    """Euclidean length, with slope zero at the origin.
+
+    Exact to rounding while the squares neither overflow nor vanish; kernels work in units of the
+    reach, where they do not.
+    """
+    return sqrt(sum(c * c for c in components))
+
+
+def sign(x: Scalar) -> Scalar:
+    """-1 below zero, else 1; a Python number stays one."""
+    if isinstance(x, int | float):
+        return -1.0 if x < 0 else 1.0
+    return jnp.where(x < 0, -1, 1).astype(x.dtype)

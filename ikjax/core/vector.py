@@ -1,0 +1,103 @@
+"""3-vectors and 3x3 matrices as tuples of scalars.
+
+Storey: core. A vector is (x, y, z), a matrix three rows of it. Every component may be an array of
+any batch shape: each line is one elementwise operation, which XLA fuses with its neighbours.
+
+A component that is a plain Python 0, 1 or -1 is known while tracing and costs nothing; that is how
+an arm baked in as constants becomes fast.
+"""
+
+from ikjax.core import safe
+from ikjax.core.trig import Scalar
+
+Vector = tuple[Scalar, Scalar, Scalar]
+Matrix = tuple[Vector, Vector, Vector]
+
+IDENTITY: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+ORIGIN: Vector = (0.0, 0.0, 0.0)
+
+
+def times(a: Scalar, b: Scalar) -> Scalar:
+    """a * b, left out where one factor is known to be 0, 1 or -1."""
+    for known, other in ((a, b), (b, a)):
+        if isinstance(known, int | float) and known in (0, 1, -1):
+            return 0.0 if known == 0 else other if known == 1 else -other
+    return a * b
+
+
+def minus(a: Scalar) -> Scalar:
+    """-a, where a known zero stays one."""
+    return -a if not isinstance(a, int | float) or a != 0 else 0.0
+
+
+def plus(a: Scalar, b: Scalar) -> Scalar:
+    """a + b, left out where one term is known to be 0."""
+    for known, other in ((a, b), (b, a)):
+        if isinstance(known, int | float) and known == 0:
+            return other
+    return a + b
+
+
+def dot(u: Vector, v: Vector) -> Scalar:
+    return plus(plus(times(u[0], v[0]), times(u[1], v[1])), times(u[2], v[2]))
+
+
+def cross(u: Vector, v: Vector) -> Vector:
+    return (
+        plus(times(u[1], v[2]), -times(u[2], v[1])),
+        plus(times(u[2], v[0]), -times(u[0], v[2])),
+        plus(times(u[0], v[1]), -times(u[1], v[0])),
+    )
+
+
+def add(u: Vector, v: Vector) -> Vector:
+    return (plus(u[0], v[0]), plus(u[1], v[1]), plus(u[2], v[2]))
+
+
+def subtract(u: Vector, v: Vector) -> Vector:
+    return (plus(u[0], -v[0]), plus(u[1], -v[1]), plus(u[2], -v[2]))
+
+
+def scale(factor: Scalar, v: Vector) -> Vector:
+    return (times(factor, v[0]), times(factor, v[1]), times(factor, v[2]))
+
+
+def norm(v: Vector) -> Scalar:
+    return safe.norm(*v)
+
+
+def transpose(m: Matrix) -> Matrix:
+    return tuple(zip(*m, strict=True))
+
+
+def rotate(m: Matrix, v: Vector) -> Vector:
+    """The matrix times the vector."""
+    return (dot(m[0], v), dot(m[1], v), dot(m[2], v))
+
+
+def matmul(m: Matrix, n: Matrix) -> Matrix:
+    columns = transpose(n)
+    return tuple(tuple(dot(row, column) for column in columns) for row in m)
+
+
+def orthonormal(m: Matrix) -> Matrix:
+    """The right-handed frame nearest in spirit: x kept, y made perpendicular, z their product.
+
+    Gram-Schmidt on the columns. A matrix that is no rotation still gives finite numbers.
+    """
+    x, y, _ = transpose(m)
+    x = scale(safe.reciprocal_sqrt(dot(x, x)), x)
+    z = cross(x, y)
+    z = scale(safe.reciprocal_sqrt(dot(z, z)), z)
+    return transpose((x, cross(z, x), z))
+
+
+def orthonormality_error(m: Matrix) -> Scalar:
+    """Frobenius norm of M^T M - I: zero for a rotation or a reflection."""
+    x, y, z = transpose(m)
+    diagonal = sum((dot(v, v) - 1) ** 2 for v in (x, y, z))
+    return safe.sqrt(diagonal + 2 * (dot(x, y) ** 2 + dot(y, z) ** 2 + dot(z, x) ** 2))
+
+
+def determinant(m: Matrix) -> Scalar:
+    return dot(cross(m[0], m[1]), m[2])

@@ -1,0 +1,88 @@
+"""What a person asks before and after solving: is this a goal, and how is this arm solved?
+
+Storey: ik. Host side: both look at values.
+"""
+
+import warnings
+
+import jax
+import numpy as np
+
+from ikjax.arm import structure
+from ikjax.arm.arm import Arm
+from ikjax.ik.solve import as_goals, what_was_found
+from ikjax.solvers.family import ROTATION_TOLERANCE, reach
+
+FAR = 1000
+"""Goals beyond so many reaches are taken for millimetres."""
+
+
+def check_goals(arm: Arm, goals) -> None:
+    """Raise unless every goal is a pose; `solve` would mask the ones that are not.
+
+    Args:
+        arm: The arm.
+        goals: (..., 4, 4).
+
+    Raises:
+        ValueError: Naming the first goal that is not finite, whose bottom row is not (0, 0, 0, 1), or
+            whose rotation is off by more than 1e-5, with what was found.
+
+    Warns:
+        Where a goal lies a thousand reaches away.
+    """
+    if isinstance(goals, jax.core.Tracer):
+        raise ValueError("check_goals looks at values, so it cannot stand inside jit, vmap or grad")
+    goals = np.asarray(as_goals(goals), float)
+    flat = goals.reshape(-1, 4, 4)
+
+    def first(bad: np.ndarray) -> tuple[str, np.ndarray]:
+        i = int(np.argmax(bad))
+        index = tuple(map(int, np.unravel_index(i, goals.shape[:-2]))) if goals.ndim > 2 else ()
+        others = f" (and {bad.sum() - 1} more)" if bad.sum() > 1 else ""
+        return f"goals{list(index) if index else ''}{others}", flat[i]
+
+    bad = ~np.isfinite(flat).all((1, 2))
+    if bad.any():
+        name, goal = first(bad)
+        raise ValueError(f"{name} must hold finite numbers, got\n{goal}")
+    bad = (flat[:, 3] != (0, 0, 0, 1)).any(1)
+    if bad.any():
+        name, goal = first(bad)
+        hint = ": transposed?" if np.any(goal[3, :3]) else ""
+        raise ValueError(f"{name} must have bottom row (0, 0, 0, 1), got {goal[3]}{hint}")
+    rotation = flat[:, :3, :3]
+    error = np.linalg.norm(np.swapaxes(rotation, 1, 2) @ rotation - np.eye(3), axis=(1, 2))
+    bad = error > ROTATION_TOLERANCE
+    if bad.any():
+        name, _ = first(bad)
+        raise ValueError(f"{name} must hold a rotation, its R^T R - I has norm {error[bad][0]:.1g}")
+    bad = np.linalg.det(rotation) < 0
+    if bad.any():
+        name, _ = first(bad)
+        raise ValueError(f"{name} must hold a rotation, got a reflection (determinant -1)")
+    far = np.linalg.norm(flat[:, :3, 3], axis=1) > FAR * float(reach(arm.baked()))
+    if far.any():
+        name, goal = first(far)
+        distance = np.linalg.norm(goal[:3, 3])
+        warnings.warn(
+            f"{name} lies {distance:.4g} m away, the arm reaches {float(reach(arm.baked())):.3g} m: "
+            "are these millimetres?",
+            stacklevel=2,
+        )
+
+
+def explain(arm: Arm) -> str:
+    """Which closed form solves the arm, why, and what its branches are, as text to print."""
+    if arm.family is None:
+        return f"{arm.name} has no closed form here.\n{what_was_found(arm)}"
+    rule = structure.RULES[arm.family]
+    lines = [f"{arm.name} is solved by {arm.family}: {rule.summary}.", "Because:"]
+    numbers = {key: np.asarray(getattr(arm, key)) for key in ("a", "alpha", "d")}
+    verdict = structure.recognise(arm.kinds, numbers, tolerance=structure.tolerance_of(arm.dtype))
+    for check in verdict.evidence.get(arm.family, ()):
+        mark = "yes" if check.holds else "NO"
+        lines.append(f"  {mark:3} {check.fact}: {check.deviation:.2g}")
+    lines.append(f"Branches ({len(arm.branches)}):")
+    lines += [f"  {slot}  {name}" for slot, name in enumerate(arm.branches)]
+    return "\n".join(lines)

@@ -1,0 +1,117 @@
+"""`solve`: poses in, every branch out.
+
+Storey: ik. Inside a caller's jit it is a plain elementwise graph, so what is not used is never
+computed. Called eagerly it works through the goals in blocks that fit the cache, always of one
+size and with the arm passed the same way, so that the bits of an answer depend on its goal alone.
+"""
+
+import functools
+import warnings
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ikjax.arm import structure
+from ikjax.arm.arm import Arm
+from ikjax.ik import blocks
+from ikjax.ik.graph import solve_here
+from ikjax.ik.solutions import Solutions
+
+
+def solve(arm: Arm, goals, q_now=None, *, tolerance: float | None = None) -> Solutions:
+    """Every branch of every goal.
+
+    Args:
+        arm: An arm with a family (`explain(arm)` says which).
+        goals: T_world_tool, (..., 4, 4), float32 or float64; the answer has its type. A goal that is
+            not finite, or whose rotation is off by more than 1e-5, is masked; its neighbours are not
+            touched.
+        q_now: (..., n) joint values that a joint follows where it is arbitrary; zero by default.
+        tolerance: How far a valid pose may be from its goal, [rad] and as a share of
+            (reach + |p|); 1e-9 in float64 and 2e-5 in float32 by default.
+
+    Returns:
+        `Solutions`, its fields (..., S) with S = len(arm.branches).
+
+    Raises:
+        ValueError: Wrong shapes or types, or an arm of no family.
+    """
+    check_family(arm)
+    goals = as_goals(goals)
+    arm = arm.astype(goals.dtype)
+    batch = goals.shape[:-2]
+    if q_now is not None:
+        q_now = jnp.asarray(q_now, goals.dtype)
+        if q_now.ndim == 0 or q_now.shape[-1] != arm.n:
+            raise ValueError(f"q_now must have shape (..., {arm.n}), got {q_now.shape}")
+        q_now = jnp.broadcast_to(q_now, (*batch, arm.n))
+    if is_traced((goals, q_now)) or is_traced(arm):
+        # An arm that is not traced itself becomes constants of the caller's jit.
+        return solve_here(arm if is_traced(arm) else arm.baked(), goals, q_now, tolerance)
+    flat = goals.reshape(-1, 4, 4)
+    now = None if q_now is None else q_now.reshape(-1, arm.n)
+    packed = blocks.solve_blocks(arm, flat, now, tolerance)
+    return jax.tree.map(lambda x: x.reshape(*batch, *x.shape[1:]), packed)
+
+
+def is_traced(tree) -> bool:
+    return any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(tree))
+
+
+def check_family(arm: Arm) -> None:
+    """Raise unless a closed form is known for the arm."""
+    if arm.family is not None:
+        return
+    raise ValueError(f"{arm.name} has no closed form here. {what_was_found(arm)}")
+
+
+def what_was_found(arm: Arm) -> str:
+    """The arm's axes in words, and what keeps it out of every family."""
+    if isinstance(arm.alpha, jax.core.Tracer):
+        return "Families: " + ", ".join(structure.RULES)
+    numbers = {key: np.asarray(getattr(arm, key)) for key in ("a", "alpha", "d")}
+    tolerance = structure.tolerance_of(arm.dtype)
+    verdict = structure.recognise(arm.kinds, numbers, tolerance=tolerance)
+    axes = structure.found(arm.kinds, numbers, tolerance)
+    lines = [f"Found: joints {arm.kinds}; {axes}.", "Families:"]
+    for name, rule in structure.RULES.items():
+        lines.append(f"  {name}: {rule.summary}.")
+        lines.append(f"    Not this arm: {structure.describe(verdict.evidence[name])}.")
+    return "\n".join(lines)
+
+
+_ACCEPTED = (jnp.float32, jnp.float64)
+
+
+def as_goals(goals) -> jax.Array:
+    """Goals as an array of float32 or float64, (..., 4, 4)."""
+    if not isinstance(goals, jax.Array):
+        try:
+            goals = np.asarray(goals)
+        except ValueError as error:
+            raise ValueError(f"goals must be one array (..., 4, 4): {error}") from error
+        if goals.dtype == object or goals.dtype.kind in "USV":
+            raise ValueError(f"goals must hold real numbers, got {goals.dtype}")
+    if goals.dtype.kind == "c":
+        raise ValueError(f"goals must hold real numbers, got {goals.dtype}")
+    if goals.dtype.kind in "iub":
+        goals = jnp.asarray(goals, jnp.result_type(float))
+    if goals.dtype not in _ACCEPTED:
+        raise ValueError(
+            f"goals must be float32 or float64, got {goals.dtype}: use float32 or float64"
+        )
+    if goals.ndim < 2 or goals.shape[-2:] != (4, 4):
+        raise ValueError(f"goals must have shape (..., 4, 4), got {goals.shape}")
+    if goals.dtype == np.float64 and jnp.result_type(float) == jnp.float32:
+        _say_once_that_x64_is_off()
+    return jnp.asarray(goals, jnp.result_type(goals.dtype))
+
+
+@functools.cache
+def _say_once_that_x64_is_off() -> None:
+    warnings.warn(
+        "float64 goals are solved in float32 because jax_enable_x64 is off; "
+        'switch it on with jax.config.update("jax_enable_x64", True)',
+        stacklevel=4,
+    )

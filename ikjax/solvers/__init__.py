@@ -1,0 +1,24 @@
+"""The families: one closed form a file, in the order of `arm.structure.RULES`."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from ikjax.solvers import ortho_parallel_wrist, three_parallel
+from ikjax.solvers.branch import Branch
+
+
+class Family(NamedTuple):
+    """A closed form, and where its slots part."""
+
+    branches: Callable[..., tuple[Branch, ...]]
+    """(signs, links, goal, setting) -> every slot."""
+    first: int
+    """So many first joints are shared by slots that differ in the rest."""
+    last: int
+    """So many last joints likewise."""
+
+
+FAMILIES = {
+    "ortho_parallel_wrist": Family(ortho_parallel_wrist.branches, first=3, last=0),
+    "three_parallel": Family(three_parallel.branches, first=1, last=2),
+}

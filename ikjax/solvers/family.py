@@ -1,0 +1,218 @@
+"""From one goal to measured slots: what every family shares.
+
+Storey: solvers. The goal is brought to units of the reach and to the frame its family expects, the
+family proposes joints for every slot, and forward kinematics on the given arm decides which hold.
+"""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ikjax.arm.arm import Arm
+from ikjax.arm.forward import Joint, Link, advance, fixed_pose, links, strip
+from ikjax.core import pose as poses
+from ikjax.core import safe, vector
+from ikjax.core.pose import Pose
+from ikjax.core.trig import Angle, Scalar, atan2, canonical, sincos, wrap
+from ikjax.solvers import FAMILIES, Family
+from ikjax.solvers.branch import Branch, Setting
+
+TOLERANCE = {"float32": 2e-5, "float64": 1e-9}
+"""A slot is valid when its pose is this close, [rad] and as a share of (reach + |p|)."""
+
+ROTATION_TOLERANCE = 1e-5
+"""|R^T R - I| beyond this is no rotation: the goal is masked."""
+
+FAR = 1e6
+"""Goals further than so many reaches are answered as if they stood there."""
+
+
+class Slot(NamedTuple):
+    """One measured answer, in scalars; the fields are those of `Solutions`."""
+
+    joints: tuple[Angle | Scalar, ...]
+    """The DH angles and offsets: what the measure was taken of."""
+    q: tuple[Scalar, ...]
+    valid: jax.Array
+    margin: Scalar
+    continuum: jax.Array
+    position_error: Scalar
+    rotation_error: Scalar
+
+
+class Frame(NamedTuple):
+    """What a goal has to pass to become a family's goal, and the table, in units of the reach."""
+
+    reach: Scalar
+    """[m]"""
+    per_reach: Scalar
+    links: tuple[Link, ...]
+    """The last one bare: it ends in the tip, the frame that turns with its joint and nothing else."""
+    from_world: Pose
+    """T_base_world."""
+    from_tool: Pose
+    """T_tool_tip"""
+    tool: vector.Vector
+    """The tool point seen from the tip."""
+
+
+def reach(arm: Arm) -> Scalar:
+    """Sum of the lengths in the table and the tool [m]: no tool point is further from the base."""
+    tool = fixed_pose(arm.tool).position
+    return sum(abs(x) for link in links(arm) for x in (link.a, link.d)) + sum(abs(x) for x in tool)
+
+
+def prepare(arm: Arm) -> Frame:
+    """Everything that depends on the arm alone."""
+    size = reach(arm)
+    per = 1 / size if isinstance(size, float) else safe.divide(1, size)
+    table = tuple(
+        link._replace(
+            a=vector.times(per, link.a), d=vector.times(per, link.d), theta=_wrapped(link.theta)
+        )
+        for link in links(arm)
+    )
+    base, tool = fixed_pose(arm.base), fixed_pose(arm.tool)
+    base = Pose(base.rotation, vector.scale(per, base.position))
+    tool = Pose(tool.rotation, vector.scale(per, tool.position))
+    tip_tool = poses.compose(advance(poses.IDENTITY, table[-1], Joint(0.0, 1.0, table[-1].d)), tool)
+    bare = Link(table[-1].kind, 0.0, 0.0, 1.0, 0.0, table[-1].theta)
+    return Frame(
+        size,
+        per,
+        (*table[:-1], bare),
+        poses.inverse(base),
+        poses.inverse(tip_tool),
+        tip_tool.position,
+    )
+
+
+def _wrapped(theta: Scalar) -> Scalar:
+    return math.remainder(theta, 2 * math.pi) if isinstance(theta, float) else wrap(theta)
+
+
+def clean(goal: Pose, reach: Scalar) -> tuple[Pose, jax.Array]:
+    """A goal that is finite, orthonormal and not absurdly far, and whether it was a pose at all."""
+    numbers = [*(c for row in goal.rotation for c in row), *goal.position]
+    finite = jnp.isfinite(numbers[0])
+    for number in numbers[1:]:
+        finite &= jnp.isfinite(number)
+    rotation = tuple(
+        tuple(jnp.where(finite, c, k) for c, k in zip(row, unit, strict=True))
+        for row, unit in zip(goal.rotation, vector.IDENTITY, strict=True)
+    )
+    # A wild matrix must not overflow on its way to being refused.
+    rotation = tuple(tuple(jnp.clip(c, -2, 2) for c in row) for row in rotation)
+    proper = vector.determinant(rotation) > 0
+    rigid = proper & (vector.orthonormality_error(rotation) <= ROTATION_TOLERANCE)
+    rotation = vector.orthonormal(
+        tuple(
+            tuple(jnp.where(rigid, c, k) for c, k in zip(row, unit, strict=True))
+            for row, unit in zip(rotation, vector.IDENTITY, strict=True)
+        )
+    )
+    far = FAR * reach
+    position = tuple(jnp.where(finite, jnp.clip(p, -far, far), 0) for p in goal.position)
+    return Pose(rotation, position), finite & rigid
+
+
+def solve_scalars(
+    arm: Arm,
+    goal: Pose,
+    now: tuple[Scalar, ...] | None = None,
+    tolerance: float | None = None,
+    hold: Callable[[Scalar], Scalar] = lambda x: x,
+) -> tuple[Slot, ...]:
+    """Every slot for one goal, in scalars (or for many goals, one array a scalar).
+
+    Args:
+        arm: An arm with a family.
+        goal: T_world_tool with an orthonormal rotation; `clean` makes one of anything.
+        now: Joint values that arbitrary joints follow; zero by default.
+        tolerance: Overrides `TOLERANCE` for the goal's type.
+        hold: Called on sines and cosines, which many outputs share; see `ik.blocks`.
+
+    Returns:
+        One `Slot` for each branch of the family, in slot order.
+    """
+    dtype = jnp.result_type(goal.position[0])
+    tolerance = TOLERANCE[dtype.name] if tolerance is None else tolerance
+    frame = prepare(arm)
+    tiny = 64 * float(np.finfo(dtype).eps)
+    now = (0.0,) * arm.n if now is None else now
+    fill = tuple(_angle_now(link, value) for link, value in zip(frame.links, now, strict=True))
+
+    scaled = Pose(goal.rotation, vector.scale(frame.per_reach, goal.position))
+    tip = poses.compose(poses.compose(frame.from_world, scaled), frame.from_tool)
+    allowed = tolerance * (1 + vector.norm(scaled.position))
+
+    slots = []
+    setting = Setting(fill, tiny, hold)
+    family = FAMILIES[arm.family]
+    for branch in family.branches(arm.signs, frame.links, tip, setting):
+        gap_squared, turn_squared = _mismatch(frame, family, branch)
+        # |R - S| = sqrt(8) sin(angle / 2), in the Frobenius norm.
+        valid = (gap_squared <= allowed * allowed) & (turn_squared <= 2 * tolerance**2)
+        half = safe.sqrt(jnp.minimum(turn_squared / 8, 1))
+        slots.append(
+            Slot(
+                branch.joints,
+                _joint_values(frame.links, branch),
+                valid,
+                frame.reach * jnp.minimum(branch.margin, 1),
+                branch.continuum,
+                frame.reach * safe.sqrt(gap_squared),
+                2 * atan2(half, safe.sqrt((1 - half) * (1 + half))),
+            )
+        )
+    return tuple(slots)
+
+
+def _angle_now(link: Link, value: Scalar) -> Angle:
+    total = jnp.asarray(link.theta + value)
+    return Angle(*sincos(total), total)
+
+
+def _mismatch(frame: Frame, family: Family, branch: Branch) -> tuple[Scalar, Scalar]:
+    """Squared distance of the tool points, and squared Frobenius norm of R - S.
+
+    The goal is unwound through the first joints and stripped of the last ones, as many as the
+    family says; the joints between are wound forward, and the two are compared where they meet.
+    That is forward kinematics on the given arm, with as little of it per slot as the slots allow.
+    """
+    joints = [
+        Joint(joint.sin, joint.cos, link.d)
+        for link, joint in zip(frame.links, branch.joints, strict=True)
+    ]
+    chain = list(zip(frame.links, joints, strict=True))
+    end = len(chain) - family.last
+    goal, tool = branch.seen, frame.tool
+    for link, joint in reversed(chain[end:]):
+        goal = strip(goal, link, joint)
+        tool = _carried(tool, link, joint)
+    reached = poses.IDENTITY
+    for link, joint in chain[family.first : end]:
+        reached = advance(reached, link, joint)
+    slip = tuple(map(vector.subtract, reached.rotation, goal.rotation))
+    gap = vector.add(vector.subtract(reached.position, goal.position), vector.rotate(slip, tool))
+    return vector.dot(gap, gap), sum(vector.dot(row, row) for row in slip)
+
+
+def _carried(point: vector.Vector, link: Link, joint: Joint) -> vector.Vector:
+    """A point of the frame after the link, seen from the frame before it."""
+    step = advance(poses.IDENTITY, link, joint)
+    return vector.add(vector.rotate(step.rotation, point), step.position)
+
+
+def _joint_values(table: tuple[Link, ...], branch: Branch) -> tuple[Scalar, ...]:
+    values = []
+    for link, joint in zip(table, branch.joints, strict=True):
+        turned = joint.value - link.theta
+        turned = jnp.where(turned > np.pi, turned - 2 * np.pi, turned)
+        turned = jnp.where(turned < -np.pi, turned + 2 * np.pi, turned)
+        values.append(canonical(turned))
+    return tuple(values)
