@@ -58,9 +58,7 @@ def check_pose(name: str, value, xp):
         if not np.isfinite(value).all():
             raise ValueError(f"{name} must hold finite numbers, got\n{value}")
         if not np.allclose(value[3], (0, 0, 0, 1), atol=1e-9):
-            raise ValueError(
-                f"{name} must have bottom row (0, 0, 0, 1), got {value[3]}: transposed?"
-            )
+            raise ValueError(f"{name} must have bottom row (0, 0, 0, 1), got {value[3]}: transposed?")
         rotation = value[:3, :3]
         gap = np.linalg.norm(rotation.T @ rotation - np.eye(3))
         if gap > 1e-5 or np.linalg.det(rotation) < 0:
@@ -77,9 +75,7 @@ def check_limits(limits, n: int) -> np.ndarray:
         raise ValueError(f"limits must have shape ({n}, 2), got {limits.shape}")
     for i, (lower, upper) in enumerate(limits):
         if not lower <= upper:
-            raise ValueError(
-                f"limits[{i}] (joint {i + 1}) must be lower <= upper, got ({lower}, {upper})"
-            )
+            raise ValueError(f"limits[{i}] (joint {i + 1}) must be lower <= upper, got ({lower}, {upper})")
     return limits
 
 

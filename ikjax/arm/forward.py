@@ -36,9 +36,7 @@ def _twist(alpha: Scalar, noise: float) -> tuple[Scalar, Scalar]:
         exact = (math.sin(alpha), math.cos(alpha))
         return tuple(float(round(x)) if abs(x - round(x)) < noise else x for x in exact)
     # The value is snapped, the slope is not: twists stay differentiable.
-    return tuple(
-        x + jax.lax.stop_gradient(jnp.where(jnp.abs(x) < noise, -x, 0)) for x in sincos(alpha)
-    )
+    return tuple(x + jax.lax.stop_gradient(jnp.where(jnp.abs(x) < noise, -x, 0)) for x in sincos(alpha))
 
 
 def links(arm: Arm) -> tuple[Link, ...]:

@@ -73,9 +73,7 @@ class Table(NamedTuple):
         if self.a is None:
             return Check(f"{name}{i} = 0 ({meaning}), promised", 0.0, True)
         off = abs(float(getattr(self, name)[i - 1])) / max(self.size, 1e-300)
-        return Check(
-            f"{name}{i} = 0 ({meaning}), share of the reach", off, bool(off <= self.tolerance)
-        )
+        return Check(f"{name}{i} = 0 ({meaning}), share of the reach", off, bool(off <= self.tolerance))
 
     def apart(self, first: int, second: int, distance: Callable[[], float]) -> Check:
         """Two axes are a distance apart."""
@@ -93,8 +91,7 @@ def _sign(x: float) -> int:
 def _slots(*bits: tuple[str, str]) -> tuple[str, ...]:
     """Names of the slots: bit k of the slot's number picks from the k-th pair."""
     return tuple(
-        "/".join(pair[slot >> k & 1] for k, pair in enumerate(bits))
-        for slot in range(2 ** len(bits))
+        "/".join(pair[slot >> k & 1] for k, pair in enumerate(bits)) for slot in range(2 ** len(bits))
     )
 
 

@@ -158,9 +158,7 @@ def planar_pose(x, y, phi, *, dtype=None) -> jax.Array:
     """The goal (x, y, phi) of a planar arm as (..., 4, 4): position [m], a turn phi about z [rad]."""
     x, y, phi = jnp.broadcast_arrays(*(jnp.asarray(v, dtype) for v in (x, y, phi)))
     zero = jnp.zeros_like(x)
-    return pose(
-        jnp.stack([x, y, zero], axis=-1), rpy=jnp.stack([zero, zero, phi], axis=-1), dtype=dtype
-    )
+    return pose(jnp.stack([x, y, zero], axis=-1), rpy=jnp.stack([zero, zero, phi], axis=-1), dtype=dtype)
 
 
 def position(x, y, z, *, dtype=None) -> jax.Array:

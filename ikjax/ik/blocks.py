@@ -64,9 +64,7 @@ def _in_chunks(known, tolerance, rest, goals, q_now, one) -> Solutions:
 
     def packed(start) -> Solutions:
         cut = jax.tree.map(
-            lambda x: jax.lax.dynamic_slice_in_dim(x, start, CHUNK).reshape(
-                BLOCKS, BLOCK, *x.shape[1:]
-            ),
+            lambda x: jax.lax.dynamic_slice_in_dim(x, start, CHUNK).reshape(BLOCKS, BLOCK, *x.shape[1:]),
             (goals, q_now),
         )
         slots = jax.lax.map(components, cut)

@@ -32,18 +32,12 @@ def within_limits(arm: Arm, sol: Solutions) -> Solutions:
     slack = 8 * jnp.finfo(sol.q.dtype).eps * jnp.maximum(1, jnp.abs(sol.q))
     turns_up = jnp.ceil((lower - slack - sol.q) / TURN)
     turns_down = jnp.floor((upper + slack - sol.q) / TURN)
-    turns = jnp.where(
-        sol.q < lower - slack, turns_up, jnp.where(sol.q > upper + slack, turns_down, 0)
-    )
-    turning = jnp.asarray([kind == "R" for kind in arm.kinds]).reshape(
-        (1,) * (sol.q.ndim - 1) + (-1,)
-    )
+    turns = jnp.where(sol.q < lower - slack, turns_up, jnp.where(sol.q > upper + slack, turns_down, 0))
+    turning = jnp.asarray([kind == "R" for kind in arm.kinds]).reshape((1,) * (sol.q.ndim - 1) + (-1,))
     shift = jnp.where(turning & jnp.isfinite(turns), turns * TURN, 0)
     moved = sol.q + jax.lax.stop_gradient(shift)
     inside = (moved >= lower - slack) & (moved <= upper + slack)
-    return dataclasses.replace(
-        sol, q=jnp.where(inside, moved, sol.q), valid=sol.valid & inside.all(-1)
-    )
+    return dataclasses.replace(sol, q=jnp.where(inside, moved, sol.q), valid=sol.valid & inside.all(-1))
 
 
 def nearest(arm: Arm, sol: Solutions, q_now, weights=None) -> tuple[jax.Array, jax.Array]:

@@ -40,9 +40,7 @@ class Solutions:
             ValueError: Naming the goals without a solution, and how far they are from one.
         """
         if isinstance(self.valid, jax.core.Tracer):
-            raise ValueError(
-                "require() looks at values, so it cannot stand inside jit, vmap or grad"
-            )
+            raise ValueError("require() looks at values, so it cannot stand inside jit, vmap or grad")
         found = np.asarray(self.valid).any(-1)
         if found.all():
             return self

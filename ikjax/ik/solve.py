@@ -98,9 +98,7 @@ def as_goals(goals) -> jax.Array:
     if goals.dtype.kind in "iub":
         goals = jnp.asarray(goals, jnp.result_type(float))
     if goals.dtype not in _ACCEPTED:
-        raise ValueError(
-            f"goals must be float32 or float64, got {goals.dtype}: use float32 or float64"
-        )
+        raise ValueError(f"goals must be float32 or float64, got {goals.dtype}: use float32 or float64")
     if goals.ndim < 2 or goals.shape[-2:] != (4, 4):
         raise ValueError(f"goals must have shape (..., 4, 4), got {goals.shape}")
     if goals.dtype == np.float64 and jnp.result_type(float) == jnp.float32:

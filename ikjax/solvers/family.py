@@ -71,9 +71,7 @@ def prepare(arm: Arm) -> Frame:
     size = reach(arm)
     per = 1 / size if isinstance(size, float) else safe.divide(1, size)
     table = tuple(
-        link._replace(
-            a=vector.times(per, link.a), d=vector.times(per, link.d), theta=_wrapped(link.theta)
-        )
+        link._replace(a=vector.times(per, link.a), d=vector.times(per, link.d), theta=_wrapped(link.theta))
         for link in links(arm)
     )
     base, tool = fixed_pose(arm.base), fixed_pose(arm.tool)
@@ -185,8 +183,7 @@ def _mismatch(frame: Frame, family: Family, branch: Branch) -> tuple[Scalar, Sca
     That is forward kinematics on the given arm, with as little of it per slot as the slots allow.
     """
     joints = [
-        Joint(joint.sin, joint.cos, link.d)
-        for link, joint in zip(frame.links, branch.joints, strict=True)
+        Joint(joint.sin, joint.cos, link.d) for link, joint in zip(frame.links, branch.joints, strict=True)
     ]
     chain = list(zip(frame.links, joints, strict=True))
     end = len(chain) - family.last

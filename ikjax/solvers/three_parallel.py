@@ -3,7 +3,8 @@
 Storey: solvers. Branches: 8. Universal Robots' arms and the lectures' elbow manipulator.
 
 Frames: standard DH. s1, s4, s5 are the signs of sin(alpha), c2 and c3 those of cos(alpha); an
-antiparallel axis is c = -1, and `up` is +1 where axis 1 points up. Frame 1 stands on axis 2; the arm's plane is its x, y plane.
+antiparallel axis is c = -1, and `up` is +1 where axis 1 points up. Frame 1 stands on axis 2; the
+arm's plane is its x, y plane.
 
 Steps:
 1. shoulder: the point where axes 5 and 6 meet lies `lateral` beside axis 1's plane: joint 1.

@@ -27,9 +27,7 @@ def ring(upper: Scalar, fore: Scalar) -> tuple[Scalar, Scalar]:
     return abs(abs(upper) - abs(fore)), abs(upper) + abs(fore)
 
 
-def triangle(
-    x: Scalar, y: Scalar, upper: Scalar, fore: Scalar, left: Scalar, setting: Setting
-) -> Triangle:
+def triangle(x: Scalar, y: Scalar, upper: Scalar, fore: Scalar, left: Scalar, setting: Setting) -> Triangle:
     """Angles s and e with upper (cos s, sin s) + fore (cos(s + e), sin(s + e)) = (x, y).
 
     Args:
