@@ -9,5 +9,8 @@ from ikjax.ik.check import check_goals, explain
 from ikjax.ik.select import nearest, within_limits
 from ikjax.ik.solutions import Solutions
 from ikjax.ik.solve import solve
+from ikjax.study.goals import Grid, around, even_rotations, grid
+from ikjax.study.reach import ReachMap
+from ikjax.study.sweep import sweep
 
 __version__ = "0.1.0"
