@@ -30,7 +30,7 @@ class Link(NamedTuple):
     theta: Scalar
 
 
-def _twist(alpha: Scalar, noise: float) -> tuple[Scalar, Scalar]:
+def _twist(alpha: Scalar, noise: float) -> tuple[Scalar, ...]:
     """Sine and cosine of a twist, exactly 0, 1 or -1 where rounding alone keeps them from it."""
     if isinstance(alpha, float):
         exact = (math.sin(alpha), math.cos(alpha))

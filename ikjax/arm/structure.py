@@ -39,13 +39,14 @@ class Verdict(NamedTuple):
 
 
 class Table(NamedTuple):
-    """Concrete twists, and lengths that may be None while tracing."""
+    """Concrete twists, and lengths that are only promised while they are traced."""
 
-    kinds: str
     sin: np.ndarray
     cos: np.ndarray
-    a: np.ndarray | None
-    d: np.ndarray | None
+    a: np.ndarray
+    d: np.ndarray
+    promised: bool
+    """The lengths are traced: `a` and `d` are not looked at, the family is taken at its word."""
     tolerance: float
     up: int
     """+1 when axis 1 points up in the world the arm is built into, -1 when down."""
@@ -53,35 +54,35 @@ class Table(NamedTuple):
     @property
     def size(self) -> float:
         """Rough reach of the arm [m], the scale of every length."""
-        return float(np.abs(self.a).sum() + np.abs(self.d).sum())
+        return max(float(np.abs(self.a).sum() + np.abs(self.d).sum()), 1e-300)
 
     def perpendicular(self, i: int) -> Check:
         """Axis i against axis i + 1, counted from 1."""
-        off = abs(self.cos[i - 1])
-        return Check(f"axis {i} perpendicular to axis {i + 1}", off, bool(off <= self.tolerance))
+        off = float(abs(self.cos[i - 1]))
+        return Check(f"axis {i} perpendicular to axis {i + 1}", off, off <= self.tolerance)
 
     def parallel(self, i: int) -> Check:
-        off = abs(self.sin[i - 1])
-        return Check(f"axis {i} parallel to axis {i + 1}", off, bool(off <= self.tolerance))
+        off = float(abs(self.sin[i - 1]))
+        return Check(f"axis {i} parallel to axis {i + 1}", off, off <= self.tolerance)
 
     def not_parallel(self, i: int) -> Check:
-        off = abs(self.sin[i - 1])
-        return Check(f"axis {i} not parallel to axis {i + 1}", off, bool(off > 1e-3))
+        off = float(abs(self.sin[i - 1]))
+        return Check(f"axis {i} not parallel to axis {i + 1}, sine of their angle", off, off > 1e-3)
 
     def zero(self, name: str, i: int, meaning: str) -> Check:
         """A length of the table is zero."""
-        if self.a is None:
-            return Check(f"{name}{i} = 0 ({meaning}), promised", 0.0, True)
-        off = abs(float(getattr(self, name)[i - 1])) / max(self.size, 1e-300)
-        return Check(f"{name}{i} = 0 ({meaning}), share of the reach", off, bool(off <= self.tolerance))
+        off = float(abs(getattr(self, name)[i - 1])) / self.size
+        return self._length(f"{name}{i} = 0 ({meaning})", off, off <= self.tolerance)
 
-    def apart(self, first: int, second: int, distance: Callable[[], float]) -> Check:
-        """Two axes are a distance apart."""
-        fact = f"axes {first} and {second} apart, share of the reach"
-        if self.a is None:
-            return Check(fact + ", promised", 1.0, True)
-        off = abs(distance()) / max(self.size, 1e-300)
-        return Check(fact, off, bool(off > 1e-6))
+    def apart(self, what: str, distance: float) -> Check:
+        """A distance is not zero."""
+        off = float(abs(distance)) / self.size
+        return self._length(what, off, off > 1e-6)
+
+    def _length(self, fact: str, off: float, holds: bool) -> Check:
+        if self.promised:
+            return Check(f"{fact}, promised", 0.0, True)
+        return Check(f"{fact}, share of the reach", off, holds)
 
 
 def _sign(x: float) -> int:
@@ -107,19 +108,12 @@ def _ortho_parallel_wrist(t: Table) -> tuple[list[Check], tuple[int, ...]]:
         t.zero("d", 5, "axes 4, 5 and 6 meet in one point"),
         t.not_parallel(4),
         t.not_parallel(5),
-        t.apart(2, 3, lambda: t.a[1]),
-        Check("the wrist stands off axis 3, share of the reach", 1.0, True)
-        if t.a is None
-        else _wrist_off_axis(t),
+        t.apart("axes 2 and 3 apart", t.a[1]),
+        t.apart("the wrist stands off axis 3", np.hypot(t.a[2], t.d[3] * t.sin[2])),
     ]
     square = int(max(abs(t.cos[3]), abs(t.cos[4])) <= t.tolerance)
     signs = (t.up, *map(_sign, (t.sin[0], t.cos[1], t.sin[3], t.sin[4])), square)
     return checks, signs
-
-
-def _wrist_off_axis(t: Table) -> Check:
-    off = float(np.hypot(t.a[2], t.d[3] * t.sin[2])) / max(t.size, 1e-300)
-    return Check("the wrist stands off axis 3, share of the reach", off, bool(off > 1e-6))
 
 
 def _three_parallel(t: Table) -> tuple[list[Check], tuple[int, ...]]:
@@ -130,8 +124,8 @@ def _three_parallel(t: Table) -> tuple[list[Check], tuple[int, ...]]:
         t.perpendicular(4),
         t.perpendicular(5),
         t.zero("a", 5, "axes 5 and 6 meet"),
-        t.apart(2, 3, lambda: t.a[1]),
-        t.apart(3, 4, lambda: t.a[2]),
+        t.apart("axes 2 and 3 apart", t.a[1]),
+        t.apart("axes 3 and 4 apart", t.a[2]),
     ]
     return checks, (t.up, *map(_sign, (t.sin[0], t.cos[1], t.cos[2], t.sin[3], t.sin[4])))
 
@@ -190,8 +184,8 @@ def recognise(
     if family is not None and family not in RULES:
         raise ValueError(f"family must be one of {', '.join(RULES)}, got {family!r}")
     alpha = np.asarray(numbers["alpha"], float)
-    lengths = (None, None) if traced else tuple(np.asarray(numbers[k], float) for k in ("a", "d"))
-    table = Table(kinds, np.sin(alpha), np.cos(alpha), *lengths, tolerance, up)
+    a, d = (np.zeros(len(kinds)) if traced else np.asarray(numbers[k], float) for k in ("a", "d"))
+    table = Table(np.sin(alpha), np.cos(alpha), a, d, traced, tolerance, up)
     evidence: dict[str, tuple[Check, ...]] = {}
     for name, rule in RULES.items():
         if family not in (None, name):

@@ -11,13 +11,14 @@ atan(t)/t, sin(t)/t and cos(t) in t^2, made with Remez exchange at 50 digits.
 
 import math
 from fractions import Fraction
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-Scalar = jax.Array | float
+Scalar = Any
+"""A jax array of any batch shape, or a Python float that is known while tracing."""
 SinCos = tuple[Scalar, Scalar]
 """An angle as (sine, cosine): the form in which kernels hand angles from step to step."""
 

@@ -10,8 +10,10 @@ an arm baked in as constants becomes fast.
 from ikjax.core import safe
 from ikjax.core.trig import Scalar
 
-Vector = tuple[Scalar, Scalar, Scalar]
-Matrix = tuple[Vector, Vector, Vector]
+Vector = tuple[Scalar, ...]
+"""(x, y, z)"""
+Matrix = tuple[Vector, ...]
+"""Three rows."""
 
 IDENTITY: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 ORIGIN: Vector = (0.0, 0.0, 0.0)

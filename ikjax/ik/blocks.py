@@ -70,8 +70,8 @@ def _in_chunks(known, tolerance, rest, goals, q_now, one) -> Solutions:
         slots = jax.lax.map(components, cut)
         slots = jax.tree.map(lambda x: x.reshape(CHUNK), slots)
         q = jnp.stack([x for q, _ in slots for x in q]).T
-        rest = zip(*(fields for _, fields in slots), strict=True)
-        rest = {name: jnp.stack(field).T for name, field in zip(FIELDS, rest, strict=True)}
+        columns = zip(*(fields for _, fields in slots), strict=True)
+        rest = {name: jnp.stack(column).T for name, column in zip(FIELDS, columns, strict=True)}
         return Solutions(q=q.reshape(CHUNK, len(slots), -1), **rest)
 
     def body(i, out):

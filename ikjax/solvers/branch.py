@@ -37,8 +37,8 @@ class Setting(NamedTuple):
 class Branch(NamedTuple):
     """Joint values of one slot, before they are measured."""
 
-    joints: tuple[Angle | Scalar, ...]
-    """The DH angle of each turning joint, the DH offset d of each sliding one."""
+    joints: tuple[Angle, ...]
+    """The DH angle of each joint."""
     seen: Pose
     """The goal seen from the frame after the first joints, as many as `Family.first` says."""
     margin: Scalar

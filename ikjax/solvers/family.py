@@ -34,8 +34,8 @@ FAR = 1e6
 class Slot(NamedTuple):
     """One measured answer, in scalars; the fields are those of `Solutions`."""
 
-    joints: tuple[Angle | Scalar, ...]
-    """The DH angles and offsets: what the measure was taken of."""
+    joints: tuple[Angle, ...]
+    """The DH angles: what the measure was taken of."""
     q: tuple[Scalar, ...]
     valid: jax.Array
     margin: Scalar
@@ -150,7 +150,7 @@ def solve_scalars(
 
     slots = []
     setting = Setting(fill, tiny, hold)
-    family = FAMILIES[arm.family]
+    family = FAMILIES[str(arm.family)]
     for branch in family.branches(arm.signs, frame.links, tip, setting):
         gap_squared, turn_squared = _mismatch(frame, family, branch)
         # |R - S| = sqrt(8) sin(angle / 2), in the Frobenius norm.

@@ -18,11 +18,11 @@ PSI = 1.533751168755204288118041
 class Grid:
     """Positions on a box grid, x slowest and z fastest."""
 
-    origin: tuple[float, float, float]
+    origin: tuple[float, ...]
     """The first position [m], world frame."""
     spacing: float
     """[m]"""
-    shape: tuple[int, int, int]
+    shape: tuple[int, ...]
 
     @property
     def count(self) -> int:

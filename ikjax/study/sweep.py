@@ -115,10 +115,10 @@ def _compile_unit(arm: Arm, positions: Grid, rotations: np.ndarray, dtype) -> Ca
     padded = -(-count // GROUP) * GROUP
     width = min(ORIENTATIONS, padded)
     tiles = -(-padded // width)
-    real = np.arange(tiles * width) < count
-    table = np.resize(rotations, (tiles * width, 3, 3)).astype(dtype)
-    table = jnp.asarray(table.reshape(tiles, width, 9))
-    real = jnp.asarray(real.reshape(tiles, 1, width))
+    # The last tile is filled up with rotations that do not count.
+    filled = np.resize(rotations, (tiles * width, 3, 3)).astype(dtype)
+    table = jnp.asarray(filled.reshape(tiles, width, 9))
+    real = jnp.asarray((np.arange(tiles * width) < count).reshape(tiles, 1, width))
 
     def tile(place, rotation_and_real):
         rotation, real = rotation_and_real
