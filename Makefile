@@ -1,0 +1,45 @@
+# Every target does its own set-up; nothing else has to be typed.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+
+.PHONY: sweep test long bench notebooks lint clean
+
+sweep: $(VENV)/run.stamp            ## sweep a PUMA 560's workspace: a map, a picture, a summary
+	$(BIN)/ikjax sweep puma560 --spacing 0.03 --orientations 512 --out out/puma560.zarr --picture out/puma560.png
+
+test: lint $(VENV)/dev.stamp        ## linter, types, fast tests with the README's examples
+	$(BIN)/python -m pytest
+
+lint: $(VENV)/dev.stamp
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+long: $(VENV)/dev.stamp             ## 10^6 goals an arm
+	$(BIN)/python -m pytest -m long -s
+
+bench: $(VENV)/rivals.stamp         ## against the rivals, on the same goals
+	$(BIN)/python benchmarks/run.py --out benchmarks/RESULTS.md --json out/bench.json
+
+notebooks: $(VENV)/dev.stamp        ## run the notebooks again and keep their pictures
+	$(BIN)/python notebooks/build.py
+
+$(BIN)/python:
+	$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), "ikjax needs Python 3.11 or newer"'
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/run.stamp: $(BIN)/python pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[all]'
+	touch $@
+
+$(VENV)/dev.stamp: $(BIN)/python pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[all,dev,notebook]'
+	touch $@ $(VENV)/run.stamp
+
+$(VENV)/rivals.stamp: $(VENV)/dev.stamp
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[rivals]'
+	touch $@
+
+clean:
+	rm -rf $(VENV) out
