@@ -89,25 +89,17 @@ class Arm:
             ValueError: A missing or wrong shape, a NaN, limits that cross, an unknown convention,
                 or a named family that the arm does not belong to.
         """
-        traced = any(isinstance(v, jax.core.Tracer) for v in (a, alpha, d, theta, base, tool))
-        xp = jnp if traced else np
         n = dh.count_joints(a=a, alpha=alpha, d=d)
         kinds = dh.check_kinds(kinds, n)
-        numbers = {
-            "a": dh.row("a", a, n, xp),
-            "alpha": dh.row("alpha", alpha, n, xp),
-            "d": dh.row("d", d, n, xp),
-            "theta": dh.row("theta", np.zeros(n) if theta is None else theta, n, xp),
-        }
-        base = dh.check_pose("base", np.eye(4) if base is None else base, xp)
-        tool = dh.check_pose("tool", np.eye(4) if tool is None else tool, xp)
+        columns = {"a": a, "alpha": alpha, "d": d, "theta": np.zeros(n) if theta is None else theta}
+        columns = {name: dh.row(name, column, n) for name, column in columns.items()}
+        base = dh.check_pose("base", np.eye(4) if base is None else base)
+        tool = dh.check_pose("tool", np.eye(4) if tool is None else tool)
         limits = dh.check_limits(limits, n)
-        numbers, base = dh.to_standard(convention, numbers, base, xp)
-        # A level axis 1 rounds either way; its own direction is then up.
-        up = -1 if not isinstance(base, jax.Array) and base[2, 2] < -1e-9 else 1
-        verdict = structure.recognise(kinds, numbers, family, up)
+        columns, base, up = dh.to_standard(convention, columns, base)
+        verdict = structure.recognise(kinds, columns, family, up)
         dtype = jnp.result_type(float) if dtype is None else dtype
-        leaves = {**numbers, "base": base, "tool": tool, "limits": limits}
+        leaves = {**columns, "base": base, "tool": tool, "limits": limits}
         return Arm(
             **{key: jnp.asarray(value, dtype) for key, value in leaves.items()},
             kinds=kinds,

@@ -5,6 +5,8 @@ Source: Craig, Introduction to Robotics, 3rd ed., equation (3.6); Spong, Robot M
 Control, equation (3.10).
 """
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 MAX_LENGTH = 1e100
@@ -29,19 +31,23 @@ def check_kinds(kinds: str | None, n: int) -> str:
     return kinds
 
 
-def _convert(name: str, value, xp):
+def _convert(name: str, value):
+    """An array of real numbers; numpy's, so that values can be looked at, unless it is traced."""
+    xp = jnp if isinstance(value, jax.core.Tracer) else np
     try:
+        if np.iscomplexobj(value):
+            raise TypeError
         return xp.asarray(value, float)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name} must hold real numbers, got {value!r}") from error
 
 
-def row(name: str, value, n: int, xp):
+def row(name: str, value, n: int):
     """One column of the table as an (n,) array of finite numbers."""
-    value = _convert(name, value, xp)
+    value = _convert(name, value)
     if value.shape != (n,):
         raise ValueError(f"{name} must have shape ({n},), got {value.shape}")
-    if xp is np:
+    if isinstance(value, np.ndarray):
         bad = ~(np.abs(value) <= MAX_LENGTH)
         if bad.any():
             i = int(np.argmax(bad))
@@ -49,12 +55,12 @@ def row(name: str, value, n: int, xp):
     return value
 
 
-def check_pose(name: str, value, xp):
+def check_pose(name: str, value):
     """A (4, 4) rigid pose."""
-    value = _convert(name, value, xp)
+    value = _convert(name, value)
     if value.shape != (4, 4):
         raise ValueError(f"{name} must have shape (4, 4), got {value.shape}")
-    if xp is np:
+    if isinstance(value, np.ndarray):
         if not np.isfinite(value).all():
             raise ValueError(f"{name} must hold finite numbers, got\n{value}")
         if not np.allclose(value[3], (0, 0, 0, 1), atol=1e-9):
@@ -70,7 +76,7 @@ def check_limits(limits, n: int) -> np.ndarray:
     """(n, 2) limits; None stands for no limit."""
     if limits is None:
         return np.tile([-np.inf, np.inf], (n, 1))
-    limits = _convert("limits", limits, np)
+    limits = _convert("limits", limits)
     if limits.shape != (n, 2):
         raise ValueError(f"limits must have shape ({n}, 2), got {limits.shape}")
     for i, (lower, upper) in enumerate(limits):
@@ -79,21 +85,29 @@ def check_limits(limits, n: int) -> np.ndarray:
     return limits
 
 
-def to_standard(convention: str, numbers: dict, base, xp) -> tuple[dict, object]:
-    """The same arm in standard DH: what stood before the first joint goes into the base."""
-    if convention == "standard":
-        return numbers, base
-    if convention != "modified":
+def to_standard(convention: str, numbers: dict, base) -> tuple[dict, object, int]:
+    """The same arm in standard DH: what stood before the first joint goes into the base.
+
+    Returns:
+        The columns, the base, and +1 where axis 1 points up in the world, -1 where down. A level
+        axis rounds either way: its own direction is then up. A traced base counts as upright.
+    """
+    if convention not in ("standard", "modified"):
         raise ValueError(f'convention must be "standard" or "modified", got {convention!r}')
     a, alpha = numbers["a"], numbers["alpha"]
-    s, c, one, zero = xp.sin(alpha[0]), xp.cos(alpha[0]), xp.ones(()), xp.zeros(())
-    before = [
-        [one, zero, zero, a[0]],
-        [zero, c, -s, zero],
-        [zero, s, c, zero],
-        [zero, zero, zero, one],
-    ]
-    before = xp.stack([xp.stack([xp.asarray(x) for x in line]) for line in before])
+    modified = convention == "modified"
+    tilt = alpha[0] if modified else 0.0
+    concrete = isinstance(base, np.ndarray) and not isinstance(tilt, jax.core.Tracer)
+    up = -1 if concrete and base[2, 2] * np.cos(tilt) - base[2, 1] * np.sin(tilt) < -1e-9 else 1
+    if not modified:
+        return numbers, base, up
+    xp = jnp if any(isinstance(x, jax.core.Tracer) for x in (base, a, alpha)) else np
+    s, c, zero, one = xp.sin(tilt), xp.cos(tilt), xp.zeros(()), xp.ones(())
+    rows = [[one, zero, zero, a[0]], [zero, c, -s, zero], [zero, s, c, zero], [zero, zero, zero, one]]
+    before = xp.stack([xp.stack([xp.asarray(x) for x in line]) for line in rows])
     base = (base[:, :, None] * before[None, :, :]).sum(1)
-    shifted = {key: xp.concatenate([numbers[key][1:], xp.zeros(1)]) for key in ("a", "alpha")}
-    return {**numbers, **shifted}, base
+    shifted = {}
+    for name in ("a", "alpha"):
+        xp = jnp if isinstance(numbers[name], jax.core.Tracer) else np
+        shifted[name] = xp.concatenate([numbers[name][1:], xp.zeros(1)])
+    return {**numbers, **shifted}, base, up

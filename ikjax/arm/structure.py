@@ -28,6 +28,8 @@ class Check(NamedTuple):
     fact: str
     deviation: float
     holds: bool
+    wanted: str = ""
+    """The threshold, as text."""
 
 
 class Verdict(NamedTuple):
@@ -56,33 +58,39 @@ class Table(NamedTuple):
         """Rough reach of the arm [m], the scale of every length."""
         return max(float(np.abs(self.a).sum() + np.abs(self.d).sum()), 1e-300)
 
+    @property
+    def at_most(self) -> str:
+        return f"<= {self.tolerance:.2g}"
+
     def perpendicular(self, i: int) -> Check:
         """Axis i against axis i + 1, counted from 1."""
         off = float(abs(self.cos[i - 1]))
-        return Check(f"axis {i} perpendicular to axis {i + 1}", off, off <= self.tolerance)
+        return Check(f"axis {i} perpendicular to axis {i + 1}", off, off <= self.tolerance, self.at_most)
 
     def parallel(self, i: int) -> Check:
         off = float(abs(self.sin[i - 1]))
-        return Check(f"axis {i} parallel to axis {i + 1}", off, off <= self.tolerance)
+        return Check(f"axis {i} parallel to axis {i + 1}", off, off <= self.tolerance, self.at_most)
 
     def not_parallel(self, i: int) -> Check:
         off = float(abs(self.sin[i - 1]))
-        return Check(f"axis {i} not parallel to axis {i + 1}, sine of their angle", off, off > 1e-3)
+        return Check(
+            f"axis {i} not parallel to axis {i + 1}, sine of their angle", off, off > 1e-3, "> 0.001"
+        )
 
     def zero(self, name: str, i: int, meaning: str) -> Check:
         """A length of the table is zero."""
         off = float(abs(getattr(self, name)[i - 1])) / self.size
-        return self._length(f"{name}{i} = 0 ({meaning})", off, off <= self.tolerance)
+        return self._length(f"{name}{i} = 0 ({meaning})", off, off <= self.tolerance, self.at_most)
 
     def apart(self, what: str, distance: float) -> Check:
         """A distance is not zero."""
         off = float(abs(distance)) / self.size
-        return self._length(what, off, off > 1e-6)
+        return self._length(what, off, off > 1e-6, "> 1e-06")
 
-    def _length(self, fact: str, off: float, holds: bool) -> Check:
+    def _length(self, fact: str, off: float, holds: bool, wanted: str) -> Check:
         if self.promised:
             return Check(f"{fact}, promised", 0.0, True)
-        return Check(f"{fact}, share of the reach", off, holds)
+        return Check(f"{fact}, share of the reach", off, holds, wanted)
 
 
 def _sign(x: float) -> int:
@@ -207,8 +215,7 @@ def describe(checks: tuple[Check, ...]) -> str:
     failed = [c for c in checks if not c.holds]
     if len(failed) == 1 and np.isinf(failed[0].deviation):
         return failed[0].fact
-    measured = "; ".join(f"{c.fact}: off by {c.deviation:.3g}" for c in failed)
-    return f"{measured} (threshold {TOLERANCE:g})"
+    return "; ".join(f"{c.fact}: {c.deviation:.3g}, wanted {c.wanted}" for c in failed)
 
 
 def found(kinds: str, numbers: dict, tolerance: float = TOLERANCE) -> str:

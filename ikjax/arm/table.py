@@ -12,6 +12,8 @@ import numpy as np
 
 def _number(x: float, dtype=np.float64) -> str:
     """Shortest text that names the number; multiples of pi/12 as such."""
+    if np.isinf(x):
+        return "inf" if x > 0 else "-inf"
     digits, close = (7, 1e-6) if dtype == np.float32 else (12, 1e-12)
     twelfths = x / (np.pi / 12)
     k = round(twelfths)
@@ -20,7 +22,7 @@ def _number(x: float, dtype=np.float64) -> str:
         top, bottom = k // common, 12 // common
         text = {1: "pi", -1: "-pi"}.get(top, f"{top} * pi")
         return text if bottom == 1 else f"{text} / {bottom}"
-    return "inf" if x == np.inf else "-inf" if x == -np.inf else f"{x:.{digits}g}"
+    return f"{x:.{digits}g}"
 
 
 def _column(name: str, values: Iterable[str], width: list[int]) -> str:
@@ -39,7 +41,7 @@ def paste(arm) -> str:
     width = [max(len(text(c[i])) for c in columns.values()) for i in range(arm.n)]
     lines = ["from numpy import array, inf, pi", "", "arm = Arm.from_dh("]
     lines += [_column(name, map(text, values), width) for name, values in columns.items()]
-    lines.append(f'    kinds = "{arm.kinds}", convention = "standard", name = "{arm.name}",')
+    lines.append(f'    kinds = "{arm.kinds}", convention = "standard", name = {arm.name!r},')
     if np.isfinite(leaves["limits"]).any():
         pairs = ", ".join(f"({text(lo)}, {text(hi)})" for lo, hi in leaves["limits"])
         lines.append(f"    limits = [{pairs}],")

@@ -222,6 +222,10 @@ def _wrap(x: jax.Array) -> jax.Array:
     t = x
     for part in _HALF_PI[_bits(x)]:
         t = t - quarters * const(part)
+    # The count of turns can be rounded to the wrong side of half a turn.
+    more = jnp.where(jnp.abs(t) > const(PI), jnp.copysign(const(4), t), const(0))
+    for part in _HALF_PI[_bits(x)]:
+        t = t - more * const(part)
     t = jnp.where(jnp.abs(x) <= const(PI), x, t)  # exact where there is nothing to do
     return canonical(jnp.clip(t, const(-PI), const(PI)))
 

@@ -1,10 +1,6 @@
 """`solve` for an eager call: in blocks that fit the cache, every field of every slot.
 
-Storey: ik. A kernel has some ninety outputs. XLA on a CPU makes a loop of each array that leaves a
-jit and computes what they share again in every one of them; and it computes in scalars whatever is
-written with a stride. So here
-- sines, cosines and the unwound goal are divided by a one that XLA cannot see through: a division
-  is dear enough that it is stored, not repeated;
+Storey: ik. XLA on a CPU computes in scalars, not in vectors, whatever is written with a stride. So
 - an inner loop leaves one array a component, and only then are those packed into (N, S, n);
 - the arm's zeros and ones are known while tracing (`Arm.split`), its other numbers are not.
 """
@@ -43,7 +39,7 @@ def solve_blocks(arm: Arm, goals: jax.Array, q_now, tolerance: float | None) -> 
     # Neither the name nor the limits enter the solutions, so they need not part compiles.
     plain = dataclasses.replace(arm, name="", limits=np.zeros((arm.n, 2), arm.dtype))
     known, rest = plain.split()
-    solved = _compiled()(known, tolerance, rest, goals, q_now, np.ones((), goals.dtype))
+    solved = _compiled()(known, tolerance, rest, goals, q_now)
     return solved if count >= CHUNK else jax.tree.map(lambda x: x[:count], solved)
 
 
@@ -52,13 +48,13 @@ def _compiled():
     return jax.jit(_in_chunks, static_argnums=(0, 1), compiler_options=wide_vectors())
 
 
-def _in_chunks(known, tolerance, rest, goals, q_now, one) -> Solutions:
+def _in_chunks(known, tolerance, rest, goals, q_now) -> Solutions:
     arm = Arm.join(known, rest)
     count = goals.shape[0]
 
     def components(block):
         goals, q_now = block
-        slots = slots_of(arm, goals, q_now, tolerance, hold=lambda x: x / one)
+        slots = slots_of(arm, goals, q_now, tolerance)
         full = [(slot.q, tuple(getattr(slot, field) for field in FIELDS)) for slot in slots]
         return jax.tree.map(lambda x: jnp.broadcast_to(x, goals.shape[:1]), full)
 

@@ -12,13 +12,20 @@ from ikjax.ik.solutions import Solutions
 from ikjax.solvers.family import Slot, clean, reach, solve_scalars
 
 
-def slots_of(arm: Arm, goals: jax.Array, q_now, tolerance, hold=lambda x: x) -> tuple[Slot, ...]:
-    """Measured slots of (..., 4, 4) goals, each field one array (...)."""
+def slots_of(arm: Arm, goals: jax.Array, q_now, tolerance) -> tuple[Slot, ...]:
+    """Measured slots of (..., 4, 4) goals, each field one array (...).
+
+    What several outputs share is divided by a one that XLA cannot see through. A division is dear
+    enough that XLA keeps its result, where it would compute a sum or a product again for every
+    array that leaves the jit: that is several times slower, and near a singularity, where an angle
+    is made of rounding errors, two roundings of one angle do not belong together.
+    """
     goal, proper = clean(poses.from_matrix(goals), reach(arm))
     bottom = [goals[..., 3, j] == (j == 3) for j in range(4)]
     proper &= bottom[0] & bottom[1] & bottom[2] & bottom[3]
     now = None if q_now is None else tuple(q_now[..., i] for i in range(arm.n))
-    slots = solve_scalars(arm, goal, now, tolerance, hold)
+    one = jnp.where(goal.position[0] == goal.position[0], 1, 2).astype(goals.dtype)
+    slots = solve_scalars(arm, goal, now, tolerance, hold=lambda x: x / one)
     return tuple(slot._replace(valid=slot.valid & proper) for slot in slots)
 
 

@@ -21,7 +21,7 @@ class Setting(NamedTuple):
     tiny: float
     """Lengths (in units of the reach) and sines below this are zero."""
     hold: Callable[[Scalar], Scalar]
-    """Called on what many outputs share; see `ik.blocks`."""
+    """Called on what many outputs share; see `ik.graph`."""
 
     def angle(self, sine: Scalar, cosine: Scalar) -> Angle:
         """The angle of a sine and a cosine, held."""

@@ -132,7 +132,7 @@ def solve_scalars(
         goal: T_world_tool with an orthonormal rotation; `clean` makes one of anything.
         now: Joint values that arbitrary joints follow; zero by default.
         tolerance: Overrides `TOLERANCE` for the goal's type.
-        hold: Called on sines and cosines, which many outputs share; see `ik.blocks`.
+        hold: Called on what many outputs share; see `ik.graph`.
 
     Returns:
         One `Slot` for each branch of the family, in slot order.
@@ -146,13 +146,14 @@ def solve_scalars(
 
     scaled = Pose(goal.rotation, vector.scale(frame.per_reach, goal.position))
     tip = poses.compose(poses.compose(frame.from_world, scaled), frame.from_tool)
+    tip = jax.tree.map(hold, tip)
     allowed = tolerance * (1 + vector.norm(scaled.position))
 
     slots = []
     setting = Setting(fill, tiny, hold)
     family = FAMILIES[str(arm.family)]
     for branch in family.branches(arm.signs, frame.links, tip, setting):
-        gap_squared, turn_squared = _mismatch(frame, family, branch)
+        gap_squared, turn_squared = map(hold, _mismatch(frame, family, branch))
         # |R - S| = sqrt(8) sin(angle / 2), in the Frobenius norm.
         valid = (gap_squared <= allowed * allowed) & (turn_squared <= 2 * tolerance**2)
         half = safe.sqrt(jnp.minimum(turn_squared / 8, 1))
