@@ -1,0 +1,153 @@
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import ikjax
+from ikjax.core import pose as poses
+
+pose_error = jax.jit(ikjax.pose_error)
+
+
+def turn(axis, angle):
+    """Rotation about x, y or z, written out."""
+    c, s = np.cos(angle), np.sin(angle)
+    plane = np.roll([0, 1, 2], -"xyz".index(axis))[1:]
+    matrix = np.eye(3)
+    matrix[np.ix_(plane, plane)] = [[c, -s], [s, c]]
+    return matrix
+
+
+def random_poses(rng, count):
+    array = np.tile(np.eye(4), (count, 1, 1))
+    array[:, :3, 3] = rng.uniform(-1, 1, (count, 3))
+    for place in array:
+        place[:3, :3] = np.linalg.multi_dot(
+            [turn(axis, angle) for axis, angle in zip("zyx", rng.uniform(-3, 3, 3), strict=True)]
+        )
+    return array
+
+
+def test_roll_pitch_yaw_turn_about_fixed_axes_in_that_order(dtype):
+    got = ikjax.pose(np.array([1, 2, 3], dtype), rpy=np.array([0.3, -1.1, 2.0], dtype))
+    assert got.dtype == dtype
+    np.testing.assert_allclose(got[:3, :3], turn("z", 2.0) @ turn("y", -1.1) @ turn("x", 0.3), atol=3e-7)
+    np.testing.assert_array_equal(got[:, 3], [1, 2, 3, 1])
+    np.testing.assert_array_equal(got[3], [0, 0, 0, 1])
+
+
+@pytest.mark.parametrize("axis", "xyz")
+def test_a_quaternion_has_its_scalar_first(axis):
+    half = np.zeros(4)
+    half[0], half[1 + "xyz".index(axis)] = math.cos(0.35), math.sin(0.35)
+    for wxyz in (half, -half, 1.0009 * half):
+        got = ikjax.pose(wxyz=wxyz)
+        np.testing.assert_allclose(got[:3, :3], turn(axis, 0.7), atol=1e-15)
+    np.testing.assert_array_equal(ikjax.pose(wxyz=half), ikjax.pose(wxyz=-half))
+
+
+def test_a_rotation_matrix_is_taken_as_it_is():
+    matrix = turn("y", 0.4)
+    np.testing.assert_array_equal(ikjax.pose([1.0, 0, 0], matrix=matrix)[:3, :3], matrix)
+
+
+def test_positions_and_orientations_broadcast():
+    got = jax.eval_shape(lambda xyz, rpy: ikjax.pose(xyz, rpy=rpy), np.zeros((5, 1, 3)), np.zeros((2, 3)))
+    assert got.shape == (5, 2, 4, 4)
+    assert jax.eval_shape(ikjax.pose, np.zeros((0, 3))).shape == (0, 4, 4)
+    assert jax.eval_shape(ikjax.position, np.zeros(3), 0.0, 1.0).shape == (3, 4, 4)
+
+
+def test_planar_goals_turn_about_z(dtype):
+    got = ikjax.planar_pose(1.0, 2.0, 0.7, dtype=dtype)
+    assert got.dtype == dtype
+    np.testing.assert_allclose(got[:3, :3], turn("z", 0.7), atol=1e-7)
+    np.testing.assert_array_equal(got[:, 3], [1, 2, 0, 1])
+
+
+def test_a_position_has_no_orientation_to_speak_of(dtype):
+    got = ikjax.position(1.0, 2.0, 3.0, dtype=dtype)
+    assert got.dtype == dtype
+    np.testing.assert_array_equal(got, [[1, 0, 0, 1], [0, 1, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]])
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        ({"rpy": np.zeros(3), "wxyz": np.ones(4)}, "give one orientation, got rpy and wxyz"),
+        ({"xyz": np.zeros(7)}, r"xyz must have shape \(\.\.\., 3\), got \(7,\)"),
+        ({"xyz": 1.0}, r"xyz must have shape \(\.\.\., 3\), got \(\)"),
+        ({"rpy": np.zeros(4)}, r"rpy must have shape \(\.\.\., 3\), got \(4,\)"),
+        ({"wxyz": np.array([1.0, 0, 0])}, r"wxyz must have shape \(\.\.\., 4\), got \(3,\)"),
+        ({"wxyz": np.zeros(4)}, "wxyz must have length 1 within 1e-3, it is off by 1"),
+        ({"wxyz": np.array([1.01, 0, 0, 0])}, "off by 0.01"),
+        ({"wxyz": np.array([np.nan, 0, 0, 0])}, "off by nan"),
+        ({"matrix": np.eye(4)}, r"matrix must have shape \(\.\.\., 3, 3\), got \(4, 4\)"),
+        ({"matrix": np.zeros(3)}, r"matrix must have shape \(\.\.\., 3, 3\), got \(3,\)"),
+    ],
+)
+def test_a_mistake_is_named(given, text):
+    with pytest.raises(ValueError, match=text):
+        ikjax.pose(**given)
+
+
+def test_neighbours_cancel(rng):
+    def laws(*matrices):
+        first, second, third = (poses.from_matrix(matrix) for matrix in matrices)
+        pairs = {
+            "as matrices": (poses.compose(first, second), poses.from_matrix(matrices[0] @ matrices[1])),
+            "associative": (
+                poses.compose(poses.compose(first, second), third),
+                poses.compose(first, poses.compose(second, third)),
+            ),
+            "inverse on the right": (poses.compose(first, poses.inverse(first)), poses.IDENTITY),
+            "inverse on the left": (poses.compose(poses.inverse(first), first), poses.IDENTITY),
+        }
+        return {law: [poses.to_matrix(side) for side in sides] for law, sides in pairs.items()}
+
+    for law, (left, right) in jax.jit(laws)(*(random_poses(rng, 10) for _ in range(3))).items():
+        np.testing.assert_allclose(left, np.broadcast_to(right, left.shape), atol=1e-14, err_msg=law)
+    assert poses.compose(poses.IDENTITY, poses.IDENTITY) == poses.IDENTITY
+
+
+def test_scalars_and_matrices_are_two_forms_of_one_thing(rng):
+    given = random_poses(rng, 6).reshape(2, 3, 4, 4)
+    there_and_back = jax.jit(lambda matrix: poses.to_matrix(poses.from_matrix(matrix)))
+    np.testing.assert_array_equal(there_and_back(given), given)
+
+
+def test_the_error_is_right_to_rounding_at_both_ends(rng):
+    angles = np.array([0.0, 1e-12, 1e-7, 1.0, math.pi / 2, math.pi - 1e-7, math.pi])
+    for axis in "xyz":
+        first = random_poses(rng, len(angles))
+        motion = np.tile(np.eye(4), (len(angles), 1, 1))
+        motion[:, :3, :3] = [turn(axis, angle) for angle in angles]
+        motion[:, :3, 3] = 0, 3e-9, 4e-9
+        second = first @ motion
+        distance, turned = pose_error(first, second)
+        np.testing.assert_allclose(turned, angles, atol=1e-15, rtol=1e-15)
+        np.testing.assert_allclose(distance, 5e-9, atol=1e-15)
+
+
+def test_the_error_has_finite_slopes_everywhere():
+    def error(turned, moved):
+        zero = jnp.zeros_like(turned)
+        pose = ikjax.pose(jnp.stack([moved, zero, zero]), rpy=jnp.stack([turned, zero, zero]))
+        return ikjax.pose_error(pose, jnp.eye(4))
+
+    turned = np.array([0, 1e-12, 1, math.pi - 1e-12, math.pi])
+    moved = np.array([0, 1e-12, 1, 1e3, 0])
+    slopes = jax.jit(jax.vmap(jax.jacrev(error, (0, 1))))(turned, moved)
+    (nothing, by_distance), (by_angle, nothing_either) = slopes
+    np.testing.assert_array_equal([nothing, nothing_either], 0)
+    np.testing.assert_allclose(by_distance, [0, 1, 1, 1, 0], atol=1e-12)
+    np.testing.assert_allclose(by_angle[:4], [0, 1, 1, 1], atol=1e-12)
+    assert abs(by_angle[4]) <= 1 + 1e-12
+
+
+def test_the_error_of_many_pairs_broadcasts(rng):
+    distance, angle = pose_error(random_poses(rng, 3), np.eye(4))
+    assert distance.shape == angle.shape == (3,)
+    assert np.all(angle >= 0) and np.all(angle <= math.pi)

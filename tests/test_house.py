@@ -1,0 +1,62 @@
+"""The house of DESIGN.md, section 3: who may import whom."""
+
+import ast
+import pathlib
+
+import ikjax
+from ikjax import solvers
+from ikjax.arm import structure
+
+HOUSE = pathlib.Path(ikjax.__file__).parent
+STOREYS = ["core", "arm", "solvers", "ik", "study"]
+FREE = {"__init__.py", "cli.py", "plot.py"}
+
+
+def files():
+    return sorted(HOUSE.rglob("*.py"))
+
+
+def tree(path):
+    return ast.parse(path.read_text())
+
+
+def imports(path):
+    """Every module of ikjax a file imports, anywhere in it, as dotted names."""
+    for node in ast.walk(tree(path)):
+        if isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: write imports in full"
+            names = [node.module] if node.module != "ikjax" else [f"ikjax.{x.name}" for x in node.names]
+        else:
+            names = [x.name for x in node.names] if isinstance(node, ast.Import) else []
+        yield from (name for name in names if name.split(".")[0] == "ikjax")
+
+
+def test_a_file_imports_its_own_storey_and_the_ones_below():
+    inner = [path for path in files() if path.relative_to(HOUSE).as_posix() not in FREE]
+    assert len(inner) > 20
+    for path in inner:
+        height = STOREYS.index(path.relative_to(HOUSE).parts[0])
+        for name in imports(path):
+            # `plot`, `cli` and whatever only the front door offers are in no storey.
+            assert name.partition("ikjax.")[2].split(".")[0] in STOREYS[: height + 1], f"{path}: {name}"
+
+
+def test_the_front_door_is_sorted_and_has_no_logic():
+    _, *lines, version = tree(HOUSE / "__init__.py").body
+    assert isinstance(version, ast.Assign) and version.targets[0].id == "__version__"
+    assert all(isinstance(line, ast.ImportFrom) for line in lines)
+    assert [line.module for line in lines] == sorted(line.module for line in lines)
+    assert not {name.split(".")[1] for name in imports(HOUSE / "__init__.py")} & {"plot", "cli"}
+
+
+def test_recognition_and_kernels_list_the_same_families_in_one_order():
+    assert list(structure.RULES) == list(solvers.FAMILIES)
+
+
+def test_no_file_sets_x64():
+    for path in files():
+        for node in ast.walk(tree(path)):
+            words = {getattr(node, key, None) for key in ("attr", "id", "name")}
+            if isinstance(node, ast.Call):
+                words |= {x.value for x in node.args if isinstance(x, ast.Constant)}
+            assert not words & {"enable_x64", "jax_enable_x64"}, f"{path}:{getattr(node, 'lineno', '')}"

@@ -1,0 +1,41 @@
+"""The README's examples run as they stand."""
+
+import os
+import pathlib
+import re
+import subprocess
+import sys
+
+ROOT = pathlib.Path(__file__).parent.parent
+README = (ROOT / "README.md").read_text()
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", README, re.S)
+
+
+def run(command, cwd) -> subprocess.CompletedProcess:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True)
+
+
+def test_the_python_of_the_readme_runs(tmp_path):
+    assert blocks("python")
+    for code in blocks("python"):
+        done = run([sys.executable, "-c", code], tmp_path)
+        assert done.returncode == 0, done.stderr[-2000:]
+
+
+def test_the_commands_of_the_readme_run(tmp_path):
+    commands = [line for block in blocks("console") for line in block.splitlines() if line.startswith("$ ")]
+    assert commands
+    for command in commands:
+        words = command.removeprefix("$ ").split()
+        assert words[0] == "ikjax"
+        done = run([sys.executable, "-m", "ikjax.cli", *words[1:]], tmp_path)
+        assert done.returncode == 0, command + done.stderr[-2000:]
+
+
+def test_the_readme_begins_with_the_two_commands():
+    first = blocks("sh")[0].splitlines()
+    assert [line.split("#")[0].strip() for line in first] == ["make sweep", "make test"]
