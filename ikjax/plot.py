@@ -241,26 +241,41 @@ def _kept(axis: int) -> tuple[int, int]:
 
 
 def _posture(reach, plane: Plane) -> np.ndarray:
-    """The arm at the plane's most dexterous cell, elbow up and as flat in the plane as it can be."""
-    arm, (across, up) = reach.arm, _kept(plane.axis)
-    layer = np.asarray(reach.dexterity).take(plane.layer, plane.axis)
-    home = np.clip(0.0, *np.asarray(arm.limits, float).T)
-    if not layer.any() or arm.family is None:
-        return home
-    best = np.argwhere(layer >= 0.98 * layer.max())
-    i, j = best[np.argmax(best.sum(1))]  # of equals, away from the origin
-    ticks = _ticks(reach)
-    point = np.zeros(3)
-    point[[across, up, plane.axis]] = ticks[across][i], ticks[up][j], plane.at
+    """The arm at a dexterous cell well out in the plane, elbow up and as flat in it as can be."""
+    arm = reach.arm
+    place = _place_to_touch(reach, plane)
+    if place is None or arm.family is None:
+        return np.clip(0.0, *np.asarray(arm.limits, float).T)
     turns = np.linspace(0, 2 * np.pi, 24, endpoint=False)
-    tilt = np.zeros((2, 24, 3))
+    tilt = np.zeros((2, len(turns), 3))
     tilt[:, :, 1], tilt[1, :, 2] = turns, np.pi
-    goals = pose(np.broadcast_to(point, tilt.shape), rpy=tilt, dtype=arm.dtype)
-    sol = within_limits(arm, solve(arm, goals))
-    found = np.asarray(sol.q)[np.asarray(sol.valid)]
-    lines = [sticks(arm, q).line for q in found]
-    score = [line[:, 2].mean() - 2 * np.ptp(line[:, plane.axis]) for line in lines]
-    return found[int(np.argmax(score))] if lines else home
+    sol = solve(arm, pose(np.broadcast_to(place, tilt.shape), rpy=tilt, dtype=arm.dtype))
+    valid = np.asarray(within_limits(arm, sol).valid)
+    found = np.asarray(within_limits(arm, sol).q)[valid if valid.any() else np.asarray(sol.valid)]
+    across = _kept(plane.axis)[0]
+
+    def looks(q) -> float:
+        line = sticks(arm, q).line
+        behind = min(0.0, float(line[1:-1, across].min() - line[0, across]))
+        return line[:, 2].mean() + behind - 2 * np.ptp(line[:, plane.axis])
+
+    return max(found, key=looks)
+
+
+def _place_to_touch(reach, plane: Plane) -> np.ndarray | None:
+    """Where in the plane a tool shows the arm well: dexterous, in front of the base, far from it."""
+    layer = np.asarray(reach.dexterity).take(plane.layer, plane.axis)
+    if not layer.any():
+        return None
+    across, up = _kept(plane.axis)
+    ticks, base = _ticks(reach), np.asarray(reach.arm.base, float)[:3, 3]
+    ahead = np.maximum(ticks[across] - base[across], 1e-6)[:, None]
+    rise = np.maximum(ticks[up] - base[up], 1e-6)[None, :]
+    # The square asks for dexterity first; the root of the height keeps the tool off the floor.
+    i, j = np.unravel_index(np.argmax(layer**2 * ahead * np.sqrt(rise)), layer.shape)
+    place = np.zeros(3)
+    place[[across, up, plane.axis]] = ticks[across][i], ticks[up][j], plane.at
+    return place
 
 
 def _span(reach, body: Sticks) -> np.ndarray:
@@ -278,7 +293,7 @@ def _panels(figure, count: int) -> list:
     rows = max(1, count // 2)
     columns = 2 if count > 2 else max(0, count - 1)
     figure.get_layout_engine().set(rect=(0.005, 0.005, 0.99, 0.885), w_pad=0.08, h_pad=0.1)
-    ratios = [rows] + [1] * columns
+    ratios = [1.08 * rows] + [1] * columns
     grid = figure.add_gridspec(rows, 1 + columns, width_ratios=ratios)
     axes = [figure.add_subplot(grid[:, 0])]
     for k in range(count - 1):
@@ -351,5 +366,8 @@ def _head(figure, reach) -> None:
     figure.suptitle(reach.arm.name, y=0.985, fontsize=16, fontweight="bold", parse_math=False, **left)
     figure.text(y=0.925, s=said, fontsize=10, color="#444444", **left)
     if (np.asarray(reach.reachable) > reach.reachable_within).any():
-        figure.text(0.953, 0.915, "■", fontsize=15, color=PALE, ha="right", va="center")
-        figure.text(0.957, 0.915, "beyond the joint limits", fontsize=9, va="center")
+        from matplotlib.patches import Patch
+
+        grey = Patch(color=PALE, label="within reach, beyond the joint limits")
+        where = {"loc": "upper right", "bbox_to_anchor": (0.995, 0.945)}
+        figure.legend(handles=[grey], frameon=False, handlelength=1, handleheight=1, **where)
