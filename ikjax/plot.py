@@ -27,6 +27,8 @@ TRIAD = ("#d1495b", "#2a9d5c", "#2f6fde")
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7a4fb5", "#6b6b00")
 _STYLE = {"font.size": 9, "axes.titlesize": 9, "axes.edgecolor": "#888888", "axes.linewidth": 0.6}
 _STYLE |= {"xtick.color": "#555555", "ytick.color": "#555555", "xtick.labelsize": 8, "ytick.labelsize": 8}
+_STYLE |= {"grid.color": "#dddddd", "grid.linewidth": 0.6}
+_STYLE |= {f"axes3d.{k}axis.panecolor": (0.97, 0.97, 0.97, 0.6) for k in "xyz"}
 
 
 def _pyplot() -> Any:
@@ -84,8 +86,10 @@ def arm(arm: Arm, q, ax=None, *, colour: str = COLOURS[0], width: float = 3.0):
     """
     body = sticks(arm, q)
     if ax is None:
-        ax = _pyplot().figure(figsize=(5, 5)).add_subplot(projection="3d")
-        _box(ax, body.line)
+        plt = _pyplot()
+        with plt.rc_context(_STYLE):
+            ax = plt.figure(figsize=(5, 5)).add_subplot(projection="3d")
+            _box(ax, body.line)
     _draw_3d(ax, body, colour, width)
     return ax
 
@@ -107,8 +111,8 @@ def _box(ax, points: np.ndarray) -> None:
     centre, half = (low + high) / 2, 0.55 * max(float((high - low).max()), 1e-9)
     for k, letter in enumerate("xyz"):
         getattr(ax, f"set_{letter}lim")(centre[k] - half, centre[k] + half)
-        getattr(ax, f"set_{letter}label")(f"{letter} [m]", fontsize=7, labelpad=-6)
-    ax.set_box_aspect((1, 1, 1))
+        getattr(ax, f"set_{letter}label")(f"{letter} [m]", fontsize=7, labelpad=-7)
+    ax.set_box_aspect((1, 1, 1), zoom=0.94)
     ax.tick_params(labelsize=6, pad=-3)
     ax.locator_params(nbins=5)
 
@@ -138,14 +142,15 @@ def branches(arm: Arm, goal, path=None):
     goal = np.asarray(goal, float)
     rows, columns = -(-len(bodies) // 4), min(len(bodies), 4)
     with plt.rc_context(_STYLE):
-        figure = plt.figure(figsize=(3.1 * columns, 3.3 * rows + 0.5), layout="constrained")
+        figure = plt.figure(figsize=(3.1 * columns, 3.15 * rows + 0.45), layout="constrained")
+        figure.get_layout_engine().set(rect=(0, 0, 0.985, 0.995))
         for slot, body in enumerate(bodies):
             ax = figure.add_subplot(rows, columns, slot + 1, projection="3d")
             _box(ax, points)
             ax.view_init(elev=22, azim=np.degrees(np.arctan2(goal[1, 3], goal[0, 3])) - 62)
             valid = bool(sol.valid[slot])
-            state = "" if inside[slot] else "\noutside limits" if valid else "\ndoes not reach"
-            ax.set_title(f"{slot}  {arm.branches[slot]}{state}", color=INK if valid else "#999999", y=0.98)
+            state = "within limits" if inside[slot] else "outside limits" if valid else "does not reach"
+            ax.set_title(f"{slot}  {arm.branches[slot]}\n{state}", color=INK if valid else "#999999", y=0.96)
             _draw_3d(ax, body, COLOURS[slot % len(COLOURS)] if valid else "#b8b8b8", 2.6)
             _triad(ax, goal, 0.13 * float(np.ptp(points, axis=0).max()))
         found, share = int(np.sum(sol.valid)), int(np.sum(inside))

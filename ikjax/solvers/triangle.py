@@ -1,7 +1,8 @@
 """The two-link triangle: the step that almost every closed-form arm shares.
 
 Storey: solvers. Branches: 2 (elbow left or right of the line from shoulder to wrist).
-Source: law of cosines; Craig, Introduction to Robotics, 3rd ed., section 4.4.
+Source: law of cosines; Craig, Introduction to Robotics, 3rd ed., section 4.4; the two half-angle
+forms are those of Kahan, Miscalculating area and angles of a needle-like triangle (2014).
 """
 
 from typing import NamedTuple
@@ -40,17 +41,23 @@ def triangle(x: Scalar, y: Scalar, upper: Scalar, fore: Scalar, left: Scalar, se
         Both angles as sines and cosines, clamped to the nearer end where the triangle cannot
         close, and the margin: how far the wrist is inside the ring, negative outside.
     """
-    now, tiny = setting.now[1], setting.tiny
+    now, tiny, hold = setting.now[1], setting.tiny, setting.hold
     span_squared = x * x + y * y
+    span = safe.sqrt(span_squared)
+    less, more = upper - fore, upper + fore
     scale = 1 / (2 * upper * fore)
-    cosine = jnp.clip((span_squared - (upper * upper + fore * fore)) * scale, -1, 1)
-    sine = -left * safe.sign(upper * fore) * safe.sqrt((1 - cosine) * (1 + cosine))
-    u, v = upper + fore * cosine, fore * sine
+    # 1 + cos and 1 - cos, each without cancellation; the smaller one is exact to rounding.
+    folded = jnp.clip((span - less) * (span + less) * scale, 0, 2)
+    straight = jnp.clip((more - span) * (more + span) * scale, 0, 2)
+    near = folded < straight
+    small = jnp.where(near, folded, straight)
+    cosine = hold(jnp.where(near, folded - 1, 1 - straight))
+    sine = hold(-left * safe.sign(upper * fore) * safe.sqrt(small * (2 - small)))
+    u, v = jnp.where(near, less + fore * folded, more - fore * straight), fore * sine
     weight = safe.reciprocal_sqrt(span_squared * (u * u + v * v))
     low, high = ring(upper, fore)
     free = (span_squared <= tiny * tiny) & (low <= tiny)
     lost = free | (weight == 0)
-    span = safe.sqrt(span_squared)
     return Triangle(
         jnp.where(lost, now.sin, (y * u - x * v) * weight),
         jnp.where(lost, now.cos, (x * u + y * v) * weight),

@@ -1,17 +1,28 @@
-"""The catalogue: one table a robot.
+"""The catalogue: one table a robot, built by `ikjax.robots.NAME()`.
 
-Storey: arm. `names()` lists them; `get(name)` and `robots.NAME()` build one.
+Storey: arm.
 """
 
 from collections.abc import Callable
 
 from ikjax.arm.arm import Arm
-from ikjax.arm.robots import industrial, textbook, universal
+from ikjax.arm.robots.industrial import irb120, irb2400, kr6_r900, lrmate200id, rx160
+from ikjax.arm.robots.textbook import elbow_manipulator, puma560
+from ikjax.arm.robots.universal import ur3e, ur5, ur5e, ur10e
 
 _ROBOTS: dict[str, Callable[[], Arm]] = {
-    build.__name__: build for module in (textbook, universal, industrial) for build in module.ROBOTS
+    "elbow_manipulator": elbow_manipulator,
+    "irb120": irb120,
+    "irb2400": irb2400,
+    "kr6_r900": kr6_r900,
+    "lrmate200id": lrmate200id,
+    "puma560": puma560,
+    "rx160": rx160,
+    "ur10e": ur10e,
+    "ur3e": ur3e,
+    "ur5": ur5,
+    "ur5e": ur5e,
 }
-globals().update(_ROBOTS)
 
 
 def names() -> tuple[str, ...]:

@@ -35,6 +35,3 @@ def elbow_manipulator(a2: float = 0.4, a3: float = 0.3, a4: float = 0.1) -> Arm:
         convention="standard",
         name="elbow_manipulator",
     )
-
-
-ROBOTS = (puma560, elbow_manipulator)

@@ -45,6 +45,3 @@ def ur5e() -> Arm:
 def ur10e() -> Arm:
     """Universal Robots UR10e."""
     return _universal("ur10e", 0.6127, 0.57155, (0.1807, 0.17415, 0.11985, 0.11655))
-
-
-ROBOTS = (ur3e, ur5, ur5e, ur10e)

@@ -1,0 +1,153 @@
+"""Our own rows: the kernel alone, `solve` eager, `solve` inside a user's jit, and the sweep."""
+
+import dataclasses
+from collections.abc import Callable
+
+import check
+import clock
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import ikjax
+from ikjax.core.pose import Pose
+from ikjax.ik.blocks import wide_vectors
+from ikjax.solvers.family import TOLERANCE, solve_scalars
+
+BLOCK = 8192
+"""Goals in a block of the kernel row."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Measured:
+    """One of our rows: its time, its compile time, and how its answers fared."""
+
+    timing: clock.Timing
+    compile_seconds: float
+    compile_what: str
+    tally: check.Tally | None
+    note: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Batch:
+    """Goals of one arm, made by forward kinematics of random joints; a whole number of blocks."""
+
+    arm: ikjax.Arm
+    q: np.ndarray
+    goals: np.ndarray
+    """(N, 4, 4) float64."""
+
+    @staticmethod
+    def of(arm: ikjax.Arm, count: int) -> "Batch":
+        return Batch(arm, *check.random_goals(arm, -(-count // BLOCK) * BLOCK))
+
+    def judge(self, goals, answers, given) -> check.Tally:
+        tolerance = TOLERANCE[np.dtype(goals.dtype).name]
+        return check.judge(self.arm, goals, self.q, answers, given, tolerance)
+
+
+def kernel(batch: Batch, dtype: str, runs: int) -> Measured:
+    """(b) Twelve component arrays in; every slot's q and valid out, an array a component."""
+    arm = batch.arm.astype(dtype).baked()
+    goals = batch.goals.astype(dtype)
+    entries = [goals[:, i, j] for i in range(3) for j in range(4)]
+    numbers = tuple(jnp.asarray(entry.reshape(-1, BLOCK)) for entry in entries)
+    one = jnp.ones((), dtype)
+
+    def every_slot(numbers, one):
+        def block(n):
+            goal = Pose((n[0:3], n[4:7], n[8:11]), (n[3], n[7], n[11]))
+            # What many outputs share is divided by a one, so that XLA stores it; see ikjax.ik.blocks.
+            slots = solve_scalars(arm, goal, hold=lambda x: x / one)
+            return jax.tree.map(lambda x: jnp.broadcast_to(x, BLOCK), [(s.q, s.valid) for s in slots])
+
+        return jax.lax.map(block, numbers)
+
+    jitted = jax.jit(every_slot, compiler_options=wide_vectors())
+    compiled, compile_seconds = clock.once(lambda: jitted.lower(numbers, one).compile())
+    call = clock.blocking(lambda: compiled(numbers, one))
+    timing = clock.measure(call, runs)
+    slots = call()
+    answers = np.stack([np.stack([np.asarray(x).reshape(-1) for x in q], -1) for q, _ in slots], 1)
+    given = np.stack([np.asarray(valid).reshape(-1) for _, valid in slots], 1)
+    return Measured(timing, compile_seconds, "lower and compile", batch.judge(goals, answers, given))
+
+
+def eager(batch: Batch, dtype: str, runs: int) -> Measured:
+    """(c) `ikjax.solve`, eager: (N, 4, 4) in, every field of every slot out."""
+    arm = batch.arm.astype(dtype)
+    goals = jnp.asarray(batch.goals, dtype)
+    call = clock.blocking(lambda: ikjax.solve(arm, goals))
+    _, first = clock.once(call)
+    timing = clock.measure(call, runs)
+    sol = call()
+    tally = batch.judge(np.asarray(goals), np.asarray(sol.q), np.asarray(sol.valid))
+    return Measured(timing, max(0, first - timing.median), "first call less a later one", tally)
+
+
+def counted(batch: Batch, dtype: str, runs: int) -> Measured:
+    """(d) How many goals have a solution, `solve` inside a user's plain jit."""
+    arm = batch.arm.astype(dtype)
+    goals = jnp.asarray(batch.goals, dtype)
+    jitted = jax.jit(lambda T: ikjax.solve(arm, T).valid.any(-1).sum())
+    compiled, compile_seconds = clock.once(lambda: jitted.lower(goals).compile())
+    call = clock.blocking(lambda: compiled(goals))
+    timing = clock.measure(call, runs)
+    solved = int(call())
+    # A count has no joints to check; row (c) checks those of the same goals.
+    tally = check.Tally(solved, 0, len(goals) - solved, 0, 0, float("nan"), float("nan"))
+    return Measured(timing, compile_seconds, "lower and compile", tally, "counted, not judged")
+
+
+ROWS: dict[str, Callable[[Batch, str, int], Measured]] = {
+    "kernel, component arrays": kernel,
+    "solve, eager": eager,
+    "solve in jit, counted": counted,
+}
+
+ORIENTATIONS = 512
+SAMPLE = 32
+"""Positions of a sweep that are solved again, every orientation, and judged."""
+
+
+def has_sweep() -> bool:
+    return hasattr(ikjax, "sweep") and hasattr(ikjax, "around")
+
+
+def sweep(arm: ikjax.Arm, dtype: str, goals: int, runs: int) -> tuple[Measured, int]:
+    """(f) `ikjax.sweep` over about so many goals; how many there were stands beside the row."""
+    coarse = check.reach(arm) / 10
+    count = ikjax.around(arm, coarse).count
+    spacing = coarse * (count * ORIENTATIONS / goals) ** (1 / 3)
+    grid = ikjax.around(arm, spacing)
+
+    def call():
+        return ikjax.sweep(arm, grid, ORIENTATIONS, dtype=dtype, progress=False)
+
+    found, first = clock.once(call)
+    timing = clock.Timing(tuple(call().seconds for _ in range(runs)))
+    differ, tally = _again(arm, found, dtype)
+    note = f"of {SAMPLE} positions solved again, {differ} have other counts"
+    return Measured(timing, max(0, first - found.seconds), "all but its seconds", tally, note), found.goals
+
+
+def _again(arm: ikjax.Arm, found, dtype: str) -> tuple[int, check.Tally]:
+    """Positions of the map whose counts are not those of `solve`, and what `solve` answered there."""
+    rng = np.random.default_rng(2)
+    # Half of them where the map says that it reaches, half anywhere.
+    reached = np.flatnonzero(np.asarray(found.reachable).reshape(-1))
+    chosen = [rng.choice(among, SAMPLE // 2) for among in (reached, found.grid.count)]
+    chosen = np.concatenate(chosen)
+    goals = np.broadcast_to(np.eye(4), (len(chosen), found.orientations, 4, 4)).copy()
+    goals[..., :3, :3] = found.rotations
+    goals[..., :3, 3] = found.grid.points().reshape(-1, 3)[chosen][:, None]
+    goals = goals.astype(dtype)
+    sol = ikjax.solve(arm.astype(dtype), jnp.asarray(goals))
+    valid = np.asarray(sol.valid)
+    same = valid.any(-1).sum(-1) == np.asarray(found.reachable).reshape(-1)[chosen]
+    same &= valid.sum((-1, -2)) == np.asarray(found.solutions).reshape(-1)[chosen]
+    # Here a goal without a solution is no failure: the grid is larger than the workspace.
+    has = valid.any(-1)
+    tally = check.judge(arm, goals[has], None, np.asarray(sol.q)[has], valid[has], TOLERANCE[dtype])
+    return int((~same).sum()), tally

@@ -1,0 +1,221 @@
+"""The command `ikjax`: info, solve, sweep, show, doctor.
+
+Outside the storeys: it may import everything, nothing imports it. Text for people by default, one
+JSON object with --json. Exit codes: 0 found, 1 none found or a check failed, 2 bad input.
+"""
+
+import argparse
+import json
+import platform
+import sys
+from typing import Any
+
+import jax
+import numpy as np
+
+import ikjax
+
+
+def main(argv=None) -> int:
+    """Run one command and return its exit code."""
+    options = _parser().parse_args(argv)
+    # A program's own choice, which the library never makes: float64 is there when asked for.
+    jax.config.update("jax_enable_x64", True)
+    try:
+        return options.run(options)
+    except BrokenPipeError:  # the reader, `head` say, has seen enough
+        sys.stdout = None
+        return 0
+    except (ValueError, OSError, ImportError) as error:
+        print(f"ikjax: {_plain(str(error))}", file=sys.stderr)
+        return 2
+
+
+def _parser() -> argparse.ArgumentParser:
+    top = argparse.ArgumentParser(prog="ikjax", description="Closed-form inverse kinematics.")
+    top.add_argument("--version", action="version", version=f"ikjax {ikjax.__version__}")
+    commands = top.add_subparsers(required=True, metavar="COMMAND")
+
+    def command(run, name: str, text: str) -> argparse.ArgumentParser:
+        parser = commands.add_parser(name, help=text, description=text)
+        parser.add_argument("--json", action="store_true", help="print one JSON object")
+        parser.set_defaults(run=run)
+        return parser
+
+    info = command(_info, "info", "List the catalogue, or describe one arm.")
+    info.add_argument("arm", nargs="?")
+
+    solve = command(_solve, "solve", "Every branch of one goal.")
+    solve.add_argument("arm")
+    solve.add_argument("--xyz", nargs=3, type=float, required=True, metavar=("X", "Y", "Z"), help="[m]")
+    turn = solve.add_mutually_exclusive_group()
+    turn.add_argument("--rpy", nargs=3, type=float, metavar=("R", "P", "Y"), help="[rad]")
+    turn.add_argument("--wxyz", nargs=4, type=float, metavar=("W", "X", "Y", "Z"))
+    solve.add_argument("--q-now", nargs="+", type=float, help="joints [rad] that arbitrary ones follow")
+    solve.add_argument("--radians", action="store_true", help="print radians, not degrees")
+    _add_dtype(solve, "--float32")
+
+    sweep = command(_sweep, "sweep", "Sweep an arm's workspace: a map, a picture, a summary.")
+    sweep.add_argument("arm")
+    sweep.add_argument("--spacing", type=float, default=0.05, help="between positions [m]")
+    sweep.add_argument("--orientations", type=int, default=512, help="even ones at every position")
+    sweep.add_argument("--out", help="write the map here (zarr v3)")
+    sweep.add_argument("--picture", help="write a PNG here")
+    _add_dtype(sweep, "--float64")
+
+    show = command(_show, "show", "Summary and picture of a stored map.")
+    show.add_argument("map")
+    show.add_argument("--picture", help="write a PNG here")
+
+    command(_doctor, "doctor", "Versions, devices, and a numeric self-check on this device.")
+    return top
+
+
+def _add_dtype(parser: argparse.ArgumentParser, flag: str) -> None:
+    parser.add_argument(flag, action="store_true", dest="other_dtype", help=f"compute in {flag[2:]}")
+
+
+def _plain(text: str) -> str:
+    """Text without control characters, which a name could use to write over the terminal."""
+    return "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in text)
+
+
+def _say(options, text: str, data: dict) -> None:
+    print(json.dumps(data, allow_nan=False) if options.json else _plain(text))
+
+
+def _info(options) -> int:
+    if options.arm is None:
+        arms = [ikjax.robots.get(name) for name in ikjax.robots.names()]
+        lines = [f"{arm.name:20} {arm.kinds}  {arm.family}" for arm in arms]
+        data = {arm.name: {"kinds": arm.kinds, "family": arm.family} for arm in arms}
+        _say(options, "\n".join(lines), data)
+        return 0
+    arm = ikjax.robots.get(options.arm)
+    table = {key: np.asarray(getattr(arm, key)).tolist() for key in ("a", "alpha", "d", "theta")}
+    limits = [[x if np.isfinite(x) else None for x in pair] for pair in np.asarray(arm.limits).tolist()]
+    data = {"name": arm.name, "kinds": arm.kinds, "family": arm.family, "branches": arm.branches}
+    _say(options, f"{arm}\n\n{ikjax.explain(arm)}", {**data, **table, "limits": limits})
+    return 0
+
+
+def _solve(options) -> int:
+    dtype = np.float32 if options.other_dtype else np.float64
+    arm = ikjax.robots.get(options.arm)
+    goal = ikjax.pose(options.xyz, rpy=options.rpy, wxyz=options.wxyz, dtype=dtype)
+    ikjax.check_goals(arm, goal)
+    sol = ikjax.solve(arm, goal, q_now=options.q_now)
+    inside = ikjax.within_limits(arm, sol)
+    unit, scale = ("rad", 1.0) if options.radians else ("deg", 180 / np.pi)
+    rows = []
+    for slot, name in enumerate(arm.branches):
+        rows.append(
+            {
+                "slot": slot,
+                "branch": name,
+                "valid": bool(sol.valid[slot]),
+                "within_limits": bool(inside.valid[slot]),
+                "margin": float(sol.margin[slot]),
+                "continuum": bool(sol.continuum[slot]),
+                "q": np.asarray(inside.q[slot], float).tolist(),
+            }
+        )
+    count, within = int(sol.valid.sum()), int(inside.valid.sum())
+    lines = [f"{arm.name}: {count} of {len(rows)} branches reach the goal, {within} within the joint limits"]
+    joints = "".join(f"{f'q{i + 1} [{unit}]':>11}" for i in range(arm.n))
+    lines.append(f"slot  {'branch':18} valid  limits {joints}  margin [mm]")
+    for row in rows:
+        marks = f"{'yes' if row['valid'] else '-':5}  {'yes' if row['within_limits'] else '-':6} "
+        joints = "".join(f"{x * scale:11.{4 if options.radians else 2}f}" for x in row["q"])
+        note = "  one joint is arbitrary" if row["continuum"] else ""
+        lines.append(
+            f"{row['slot']:4}  {row['branch']:18} {marks}{joints} {1000 * row['margin']:12.1f}{note}"
+        )
+    _say(options, "\n".join(lines), {"arm": arm.name, "goal": goal.tolist(), "branches": rows})
+    return 0 if count else 1
+
+
+def _sweep(options) -> int:
+    dtype = np.float64 if options.other_dtype else np.float32
+    arm = ikjax.robots.get(options.arm)
+    positions = ikjax.around(arm, options.spacing)
+    if not options.json:
+        print(f"sweeping {arm.name}: {positions.count * options.orientations:,} goals", file=sys.stderr)
+    reach = ikjax.sweep(arm, positions, options.orientations, dtype=dtype, progress=not options.json)
+    if options.out:
+        reach.save(options.out)
+    return _report(options, reach)
+
+
+def _show(options) -> int:
+    return _report(options, ikjax.ReachMap.load(options.map))
+
+
+def _report(options, reach: ikjax.ReachMap) -> int:
+    text = reach.summary()
+    if getattr(options, "out", None):
+        text += f"\n  map               {options.out}"
+    if options.picture:
+        from ikjax import plot
+
+        plot.reach_map(reach, options.picture)
+        text += f"\n  picture           {options.picture}"
+    _say(options, text, {"arm": reach.arm.name, **reach.numbers()})
+    return 0 if (reach.reachable_within > 0).any() else 1
+
+
+def _doctor(options) -> int:
+    checks = [check for dtype in ("float32", "float64") for check in _self_check(np.dtype(dtype))]
+    data: dict[str, Any] = {
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "ikjax": ikjax.__version__,
+        **{name: sys.modules[name].__version__ for name in ("jax", "jaxlib", "numpy")},
+        "devices": [str(device) for device in jax.devices()],
+        "float64": "on for this command; off in a program until jax_enable_x64 is set",
+        "checks": checks,
+    }
+    lines = [f"{name:9} {value}" for name, value in data.items() if name != "checks"]
+    for check in checks:
+        mark = "ok  " if check["ok"] else "FAIL"
+        lines.append(f"{mark} {check['what']}: {check['worst']:.2g}, allowed {check['allowed']:.2g}")
+    _say(options, "\n".join(lines), data)
+    return 0 if all(check["ok"] for check in checks) else 1
+
+
+def _self_check(dtype: np.dtype) -> list[dict]:
+    """Trigonometry against numpy's long double, and a thousand goals of one arm."""
+    from ikjax.core import trig
+
+    rng = np.random.default_rng(0)
+    x, y = (rng.normal(size=10_000).astype(dtype) for _ in range(2))
+    far = (x * dtype.type(1e4)).astype(dtype)
+    exact = [v.astype(np.longdouble) for v in (x, y, far)]
+    trig_allowed = 3e-7 if dtype == np.float32 else 6.7e-16
+
+    def check(what: str, worst, allowed: float) -> dict:
+        worst = float(worst)
+        return {"what": f"{dtype} {what}", "worst": worst, "allowed": allowed, "ok": worst <= allowed}
+
+    sine, cosine = jax.jit(trig.sincos)(far)
+    angle = jax.jit(trig.atan2)(y, x)
+    arm = ikjax.robots.get("puma560").astype(dtype)
+    q = rng.uniform(-np.pi, np.pi, (1000, 6)).astype(dtype)
+    sol = ikjax.solve(arm, ikjax.fk(arm, q))
+    reached, turned = ikjax.pose_error(ikjax.fk(arm, sol.q), ikjax.fk(arm, q)[:, None])
+    small = dtype == np.float32  # its poses near a singularity do not hold the joints any more
+    tolerance = 2e-5 if small else 1e-9
+    off = np.maximum(np.asarray(reached) / 2, np.asarray(turned))
+    missed = np.abs(np.asarray(trig.wrap(sol.q - q[:, None]))).max(-1).min(-1)
+    return [
+        check("sin", np.abs(np.asarray(sine) - np.sin(exact[2])).max(), trig_allowed),
+        check("cos", np.abs(np.asarray(cosine) - np.cos(exact[2])).max(), trig_allowed),
+        check("atan2 [rad]", np.abs(np.asarray(angle) - np.arctan2(exact[1], exact[0])).max(), trig_allowed),
+        check("pose of every valid branch", np.where(sol.valid, off, 0).max(), tolerance * 2),
+        check("goals without a branch, share", (~np.asarray(sol.valid)).all(-1).mean(), 0.0),
+        check("generating joints not found, share", (missed > 1e-2).mean(), 0.01 if small else 0.0),
+    ]
+
+
+if __name__ == "__main__":
+    sys.exit(main())
