@@ -6,9 +6,12 @@ JSON object with --json. Exit codes: 0 found, 1 none found or a check failed, 2 
 
 import argparse
 import json
+import math
+import pathlib
 import platform
 import sys
-from typing import Any
+import warnings
+from typing import Any, NoReturn
 
 import jax
 import numpy as np
@@ -18,21 +21,45 @@ import ikjax
 
 def main(argv=None) -> int:
     """Run one command and return its exit code."""
-    options = _parser().parse_args(argv)
+    try:
+        options = _parser().parse_args(argv)
+    except SystemExit as finished:  # after --help, --version, or a mistake that was explained
+        return int(finished.code or 0)
     # A program's own choice, which the library never makes: float64 is there when asked for.
     jax.config.update("jax_enable_x64", True)
     try:
-        return options.run(options)
+        with warnings.catch_warnings():
+            warnings.showwarning = lambda message, *_: _complain(message)
+            return options.run(options)
     except BrokenPipeError:  # the reader, `head` say, has seen enough
         sys.stdout = None
         return 0
     except (ValueError, OSError, ImportError) as error:
-        print(f"ikjax: {_plain(str(error))}", file=sys.stderr)
+        _complain(error)
         return 2
 
 
+def _complain(message: object) -> None:
+    """One line on stderr."""
+    print(f"ikjax: {_plain(' '.join(str(message).split()))}", file=sys.stderr)
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose complaint is one line, without the usage."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: {_plain(message)}\n")
+
+
+def _size(text: str) -> float:
+    """A finite length above zero [m]."""
+    if not 0 < float(text) < math.inf:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
+    return float(text)
+
+
 def _parser() -> argparse.ArgumentParser:
-    top = argparse.ArgumentParser(prog="ikjax", description="Closed-form inverse kinematics.")
+    top = _Parser(prog="ikjax", description="Closed-form inverse kinematics.")
     top.add_argument("--version", action="version", version=f"ikjax {ikjax.__version__}")
     commands = top.add_subparsers(required=True, metavar="COMMAND")
 
@@ -52,12 +79,13 @@ def _parser() -> argparse.ArgumentParser:
     turn.add_argument("--rpy", nargs=3, type=float, metavar=("R", "P", "Y"), help="[rad]")
     turn.add_argument("--wxyz", nargs=4, type=float, metavar=("W", "X", "Y", "Z"))
     solve.add_argument("--q-now", nargs="+", type=float, help="joints [rad] that arbitrary ones follow")
+    solve.add_argument("--limits", action="store_true", help="only what is within the joint limits counts")
     solve.add_argument("--radians", action="store_true", help="print radians, not degrees")
     _add_dtype(solve, "--float32")
 
     sweep = command(_sweep, "sweep", "Sweep an arm's workspace: a map, a picture, a summary.")
     sweep.add_argument("arm")
-    sweep.add_argument("--spacing", type=float, default=0.05, help="between positions [m]")
+    sweep.add_argument("--spacing", type=_size, default=0.05, help="between positions [m]")
     sweep.add_argument("--orientations", type=int, default=512, help="even ones at every position")
     sweep.add_argument("--out", help="write the map here (zarr v3)")
     sweep.add_argument("--picture", help="write a PNG here")
@@ -88,8 +116,8 @@ def _info(options) -> int:
     if options.arm is None:
         arms = [ikjax.robots.get(name) for name in ikjax.robots.names()]
         lines = [f"{arm.name:20} {arm.kinds}  {arm.family}" for arm in arms]
-        data = {arm.name: {"kinds": arm.kinds, "family": arm.family} for arm in arms}
-        _say(options, "\n".join(lines), data)
+        catalogue = {arm.name: {"kinds": arm.kinds, "family": arm.family} for arm in arms}
+        _say(options, "\n".join(lines), catalogue)
         return 0
     arm = ikjax.robots.get(options.arm)
     table = {key: np.asarray(getattr(arm, key)).tolist() for key in ("a", "alpha", "d", "theta")}
@@ -132,13 +160,37 @@ def _solve(options) -> int:
             f"{row['slot']:4}  {row['branch']:18} {marks}{joints} {1000 * row['margin']:12.1f}{note}"
         )
     _say(options, "\n".join(lines), {"arm": arm.name, "goal": goal.tolist(), "branches": rows})
-    return 0 if count else 1
+    return 0 if (within if options.limits else count) else 1
+
+
+def _check_places(options) -> None:
+    """Raise now what a sweep would find out at its end: nothing to draw with, nowhere to write."""
+    out = getattr(options, "out", None)
+    for place in filter(None, (out, options.picture)):
+        pathlib.Path(place).absolute().parent.mkdir(parents=True, exist_ok=True)
+    if out:
+        from ikjax.study import store
+
+        store._tensorstore()
+        if pathlib.Path(out).exists() and not (pathlib.Path(out) / "zarr.json").is_file():
+            raise FileExistsError(f"{out} exists and is no map; it is left alone")
+    if options.picture:
+        from ikjax import plot
+
+        kinds = plot.file_types()
+        if pathlib.Path(options.picture).suffix[1:].lower() not in kinds:
+            raise ValueError(f"--picture must end in one of {', '.join(kinds)}, got {options.picture!r}")
 
 
 def _sweep(options) -> int:
     dtype = np.float64 if options.other_dtype else np.float32
     arm = ikjax.robots.get(options.arm)
+    _check_places(options)
     positions = ikjax.around(arm, options.spacing)
+    if math.prod(positions.shape) >= 2**31:
+        raise ValueError(
+            f"--spacing {options.spacing:g} asks for {math.prod(positions.shape):.2g} positions, 2^31 or more"
+        )
     if not options.json:
         print(f"sweeping {arm.name}: {positions.count * options.orientations:,} goals", file=sys.stderr)
     reach = ikjax.sweep(arm, positions, options.orientations, dtype=dtype, progress=not options.json)
@@ -148,6 +200,7 @@ def _sweep(options) -> int:
 
 
 def _show(options) -> int:
+    _check_places(options)
     return _report(options, ikjax.ReachMap.load(options.map))
 
 

@@ -47,6 +47,14 @@ def _finish(figure, path):
     return figure
 
 
+def file_types() -> tuple[str, ...]:
+    """Endings that `path` may have, without the dot."""
+    plt = _pyplot()
+    canvas = plt.figure().canvas
+    plt.close(canvas.figure)
+    return tuple(sorted(canvas.get_supported_filetypes()))
+
+
 class Sticks(NamedTuple):
     """An arm as lines and points in the world [m]."""
 

@@ -21,7 +21,7 @@ def slots_of(arm: Arm, goals: jax.Array, q_now, tolerance) -> tuple[Slot, ...]:
     is made of rounding errors, two roundings of one angle do not belong together.
     """
     goal, proper = clean(poses.from_matrix(goals), reach(arm))
-    bottom = [goals[..., 3, j] == (j == 3) for j in range(4)]
+    bottom = [goals[..., 3, j] == float(j == 3) for j in range(4)]
     proper &= bottom[0] & bottom[1] & bottom[2] & bottom[3]
     now = None if q_now is None else tuple(q_now[..., i] for i in range(arm.n))
     one = jnp.where(goal.position[0] == goal.position[0], 1, 2).astype(goals.dtype)

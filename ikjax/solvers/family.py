@@ -142,7 +142,7 @@ def solve_scalars(
     frame = prepare(arm)
     tiny = 64 * float(np.finfo(dtype).eps)
     now = (0.0,) * arm.n if now is None else now
-    fill = tuple(_angle_now(link, value) for link, value in zip(frame.links, now, strict=True))
+    fill = tuple(_angle_now(link, value, dtype) for link, value in zip(frame.links, now, strict=True))
 
     scaled = Pose(goal.rotation, vector.scale(frame.per_reach, goal.position))
     tip = poses.compose(poses.compose(frame.from_world, scaled), frame.from_tool)
@@ -171,8 +171,8 @@ def solve_scalars(
     return tuple(slots)
 
 
-def _angle_now(link: Link, value: Scalar) -> Angle:
-    total = jnp.asarray(link.theta + value)
+def _angle_now(link: Link, value: Scalar, dtype) -> Angle:
+    total = jnp.asarray(link.theta + value, dtype)
     return Angle(*sincos(total), total)
 
 

@@ -242,3 +242,16 @@ def wrong(arm: ikjax.Arm, sol: ikjax.Solutions, goals, dtype) -> np.ndarray:
     allowed = TOLERANCE[np.dtype(dtype).name] + 40 * np.finfo(dtype).eps
     size = reach(arm) + np.linalg.norm(goals[..., :3, 3], axis=-1)[..., None]
     return sol.valid & ((gap > allowed * size) | (turn > allowed))
+
+
+def missing(arm: ikjax.Arm, sol: ikjax.Solutions, q, dtype) -> np.ndarray:
+    """(...) goals whose generating joints are in no valid slot, where the arm is regular enough to ask.
+
+    A pose is right to some 64 eps, so joints are right to that over sigma_min; and where the fold is
+    so near that the square of this error counts, to its square root.
+    """
+    eps, least = 64 * np.finfo(dtype).eps, sigma_min(arm, q)
+    off = np.abs(wrapped(sol.q - np.asarray(q)[..., None, :])).max(-1)
+    near = np.where(sol.valid, off, np.inf).min(-1)
+    regular = least > (1e-6 if dtype == np.float64 else 1e-2)
+    return regular & (near > np.minimum(20 * eps / least, np.sqrt(20 * eps)))

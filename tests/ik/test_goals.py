@@ -1,0 +1,225 @@
+"""Every row of the table of goals in RELIABILITY: what is raised, what is masked, what is answered."""
+
+import numpy as np
+import pytest
+
+import ikjax
+
+ARM = ikjax.robots.get("puma560")
+Q = np.array([0.3, -0.5, 0.4, 0.7, -0.6, 0.2])
+
+
+def goal(dtype=np.float64) -> np.ndarray:
+    """A plain goal that all eight slots reach."""
+    return np.array(ikjax.fk(ARM, Q), dtype)
+
+
+def solve(goals):
+    return ikjax.solve(ARM, goals)
+
+
+def changed(**entries) -> np.ndarray:
+    """The plain goal with entries such as R=..., p=..., bottom=... replaced."""
+    T = goal()
+    T[:3, :3] = entries.get("R", T[:3, :3])
+    T[:3, 3] = entries.get("p", T[:3, 3])
+    T[3] = entries.get("bottom", T[3])
+    return T
+
+
+def stretched(size) -> np.ndarray:
+    """A rotation whose R^T R - I has about this norm."""
+    R = goal()[:3, :3].copy()
+    R[:, 0] *= 1 + size / 2
+    return R
+
+
+MASKED = {
+    "NaN in the position": changed(p=[np.nan, 0, 0]),
+    "NaN in the rotation": changed(R=np.full((3, 3), np.nan)),
+    "Inf": changed(p=[0, np.inf, 0]),
+    "minus Inf": changed(p=[0, 0, -np.inf]),
+    "all NaN": np.full((4, 4), np.nan),
+    "rotation off by 1e-4": changed(R=stretched(1e-4)),
+    "rotation off by 1": changed(R=stretched(1.0)),
+    "huge rotation": changed(R=np.full((3, 3), 1e308)),
+    "reflection": changed(R=goal()[:3, :3] @ np.diag([1, 1, -1])),
+    "zero rotation": changed(R=np.zeros((3, 3))),
+    "rank 1": changed(R=np.ones((3, 3)) / 3),
+    "bottom row": changed(bottom=[0, 0, 0, 2]),
+    "NaN in the bottom row": changed(bottom=[np.nan, 0, 0, 1]),
+    "transposed": goal().T,
+    "1e308": changed(p=[1e308, -1e308, 1e308]),
+    "1000 times the reach": changed(p=[900.0, 0, 0]),
+}
+RAISED = {
+    "NaN in the position": "must hold finite numbers",
+    "NaN in the rotation": "must hold finite numbers",
+    "Inf": "must hold finite numbers",
+    "minus Inf": "must hold finite numbers",
+    "all NaN": "must hold finite numbers",
+    "rotation off by 1e-4": r"must hold a rotation, its R\^T R - I has norm 0\.0001",
+    "rotation off by 1": r"R\^T R - I has norm",
+    "huge rotation": r"R\^T R - I has norm",
+    "reflection": "reflection",
+    "zero rotation": r"R\^T R - I has norm 2",
+    "rank 1": r"R\^T R - I has norm",
+    "bottom row": r"bottom row \(0, 0, 0, 1\)",
+    "NaN in the bottom row": "must hold finite numbers",
+    "transposed": r"bottom row \(0, 0, 0, 1\), got .*: transposed\?",
+}
+FINITE = ("q", "margin", "position_error", "rotation_error")
+
+
+@pytest.mark.filterwarnings("error")
+class TestMasked:
+    @pytest.mark.parametrize("case", MASKED)
+    def test_it_is_masked_and_its_neighbours_keep_their_bits(self, case, dtype):
+        with np.errstate(over="ignore"):
+            bad = MASKED[case].astype(dtype)
+        good = np.tile(goal(dtype), (9, 1, 1))
+        batch = good.copy()
+        batch[4] = bad
+        sol, wanted = solve(batch), solve(good)
+        assert not sol.valid[4].any()
+        others = np.arange(9) != 4
+        assert wanted.valid.all()
+        for field, values in vars(sol).items():
+            np.testing.assert_array_equal(
+                np.asarray(values)[others], np.asarray(getattr(wanted, field))[others]
+            )
+        for field in FINITE:
+            assert np.isfinite(getattr(sol, field)[4]).all(), field
+
+    @pytest.mark.parametrize("case", RAISED)
+    def test_the_host_check_raises_and_names_it(self, case):
+        with pytest.raises(ValueError, match=rf"(?s)goals\[1\] .*{RAISED[case]}"):
+            ikjax.check_goals(ARM, np.stack([goal(), MASKED[case], goal()]))
+
+
+def test_a_good_batch_passes_the_host_check():
+    assert ikjax.check_goals(ARM, np.tile(goal(), (2, 3, 1, 1))) is None
+
+
+def test_the_host_check_counts_the_others():
+    with pytest.raises(ValueError, match=r"goals\[0, 1\] \(and 2 more\)"):
+        batch = np.tile(goal(), (2, 3, 1, 1))
+        batch[0, 1:, 0, 0], batch[1, 0, 1, 3] = np.nan, np.inf
+        ikjax.check_goals(ARM, batch)
+
+
+def test_a_goal_a_thousand_reaches_away_warns_of_millimetres():
+    with pytest.warns(UserWarning, match="are these millimetres"):
+        ikjax.check_goals(ARM, changed(p=[1000 * 1.1, 0, 0]))
+
+
+@pytest.mark.parametrize("tiny", [1e-308, 5e-324, -1e-300])
+def test_a_vanishing_entry_counts_as_zero_or_itself(tiny):
+    small, zero = goal(), goal()
+    small[2, 3], zero[2, 3] = tiny, 0
+    sol, wanted = solve(small), solve(zero)
+    np.testing.assert_array_equal(sol.valid, wanted.valid)
+    assert sol.valid.any()
+    np.testing.assert_allclose(sol.q, wanted.q, atol=1e-12)
+
+
+def test_minus_zero_is_zero(dtype):
+    # Axis-aligned: nearly every entry is a zero, and angles sit at pi and pi / 2.
+    plus = np.asarray(ikjax.fk(ARM, np.array([0, -np.pi / 2, np.pi / 2, 0, np.pi / 2, 0])))
+    plus = (np.round(plus, 12) + 0.0).astype(dtype)
+    minus = np.where(plus == 0, -0.0, plus).astype(dtype)
+    minus[3] = plus[3]
+    assert np.signbit(minus).sum() > np.signbit(plus).sum()
+    sol, wanted = solve(minus), solve(plus)
+    assert wanted.valid.any()
+    np.testing.assert_array_equal(sol.valid, wanted.valid)
+    np.testing.assert_allclose(sol.q, wanted.q, atol=1e-5 if dtype == np.float32 else 1e-12)
+
+
+@pytest.mark.parametrize("size", [1e-12, 1e-6])
+def test_a_rotation_slightly_off_is_made_one(size):
+    sol = solve(changed(R=stretched(size)))
+    assert sol.valid.all()
+    np.testing.assert_allclose(sol.q, solve(goal()).q, atol=10 * size)
+    ikjax.check_goals(ARM, changed(R=stretched(size)))
+
+
+@pytest.mark.parametrize("shape", [(7,), (3, 4), (4,), (), (5, 3, 4), (4, 4, 3)])
+def test_a_wrong_shape_raises(shape):
+    text = str(shape).replace("(", r"\(").replace(")", r"\)")
+    for call in (solve, lambda goals: ikjax.check_goals(ARM, goals)):
+        with pytest.raises(ValueError, match=rf"goals must have shape \(\.\.\., 4, 4\), got {text}"):
+            call(np.zeros(shape))
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (np.eye(4, dtype=complex), "must hold real numbers, got complex128"),
+        (np.eye(4).astype(object), "must hold real numbers, got object"),
+        (np.eye(4).astype(str), "must hold real numbers, got <U"),
+        ("nonsense", "must hold real numbers"),
+        (None, "must hold real numbers, got object"),
+        (np.eye(4, dtype=np.float16), "use float32 or float64"),
+        ([[1.0, 2.0], [3.0]], r"goals must be one array \(\.\.\., 4, 4\)"),
+    ],
+)
+def test_a_wrong_type_raises(value, text):
+    for call in (solve, lambda goals: ikjax.check_goals(ARM, goals)):
+        with pytest.raises(ValueError, match=text):
+            call(value)
+
+
+@pytest.mark.parametrize("make", [lambda T: T.astype(int), lambda T: T.astype(bool), lambda T: T.tolist()])
+def test_integers_bools_and_lists_are_converted(make):
+    T = np.eye(4)
+    T[0, 3] = T[1, 3] = 0
+    value = make(T)
+    sol, wanted = solve(value), solve(np.asarray(value, float))
+    assert sol.q.dtype == np.float64
+    np.testing.assert_array_equal(sol.q, wanted.q)
+    np.testing.assert_array_equal(sol.valid, wanted.valid)
+
+
+@pytest.mark.parametrize("batch", [(), (0,), (3, 0), (2, 1, 3, 1, 2)])
+def test_any_batch_axes_will_do(batch, dtype):
+    sol = solve(np.broadcast_to(goal(dtype), (*batch, 4, 4)))
+    assert sol.q.shape == (*batch, 8, 6) and sol.q.dtype == dtype
+    for field in ("valid", "margin", "continuum", "position_error", "rotation_error"):
+        assert getattr(sol, field).shape == (*batch, 8)
+    assert sol.valid.all()
+    ikjax.check_goals(ARM, np.broadcast_to(goal(dtype), (*batch, 4, 4)))
+
+
+def test_identity_and_axis_aligned_orientations_have_all_eight():
+    for signs in ([1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]):
+        for turn in (np.eye(3), np.eye(3)[[1, 2, 0]], np.eye(3)[[2, 0, 1]]):
+            assert solve(changed(R=turn * signs, p=[0.4, 0.3, 0.2])).valid.all()
+
+
+def test_angles_have_one_form_at_pi(dtype):
+    # Joint 6 at pi, made from either side.
+    for q6 in (np.pi, -np.pi):
+        sol = solve(np.asarray(ikjax.fk(ARM, np.array([*Q[:5], q6])), dtype))
+        assert (sol.q > -np.asarray(np.pi, dtype)).all() and (sol.q <= np.asarray(np.pi, dtype)).all()
+        near = np.abs(np.abs(np.asarray(sol.q)[:, 5]) - np.pi) < 1e-5
+        assert near.any()
+
+
+class TestQuaternions:
+    def test_zero_raises(self):
+        with pytest.raises(ValueError, match="wxyz must have length 1"):
+            ikjax.pose([0.4, 0.3, 0.2], wxyz=[0.0, 0.0, 0.0, 0.0])
+
+    def test_a_length_within_1e_3_is_normalised(self):
+        wxyz = np.array([0.5, 0.5, -0.5, 0.5])
+        sol = solve(ikjax.pose([0.4, 0.3, 0.2], wxyz=wxyz * 1.0009))
+        assert sol.valid.all()
+        np.testing.assert_allclose(sol.q, solve(ikjax.pose([0.4, 0.3, 0.2], wxyz=wxyz)).q, atol=1e-12)
+        with pytest.raises(ValueError, match=r"off by 0\.002"):
+            ikjax.pose([0.4, 0.3, 0.2], wxyz=wxyz * 1.002)
+
+    def test_q_and_minus_q_are_one(self):
+        wxyz = np.array([0.1, 0.7, -0.5, 0.5]) / np.linalg.norm([0.1, 0.7, -0.5, 0.5])
+        one, other = (solve(ikjax.pose([0.4, 0.3, 0.2], wxyz=s * wxyz)) for s in (1, -1))
+        np.testing.assert_array_equal(one.q, other.q)

@@ -1,0 +1,168 @@
+"""The command line: exit codes, JSON, tables and one-line complaints."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from ikjax import cli, robots
+
+GOAL = ["--xyz", "0.4", "0.2", "0.3", "--rpy", "3.14", "0", "0.6"]
+FAR = ["--xyz", "9", "0", "0"]
+
+
+@pytest.fixture
+def run(capsys):
+    """Exit code, stdout and stderr of a command."""
+
+    def call(*words):
+        code = cli.main([str(word) for word in words])
+        return code, *capsys.readouterr()
+
+    return call
+
+
+@pytest.fixture
+def swept(run, tmp_path):
+    pytest.importorskip("tensorstore")
+    code, out, _ = run(
+        "sweep", "ur5", "--spacing", 0.3, "--orientations", 8, "--out", tmp_path / "a.zarr", "--json"
+    )
+    assert code == 0
+    return tmp_path / "a.zarr", json.loads(out)
+
+
+def test_info_lists_the_catalogue(run):
+    code, out, _ = run("info")
+    assert code == 0
+    assert [line.split()[0] for line in out.splitlines()] == list(robots.names())
+
+
+def test_info_prints_a_table_and_the_family(run):
+    code, out, _ = run("info", "puma560")
+    assert code == 0
+    assert "Arm.from_dh(" in out and "solved by ortho_parallel_wrist" in out
+
+
+def test_solve_prints_eight_rows(run):
+    code, out, err = run("solve", "puma560", *GOAL)
+    assert (code, err) == (0, "")
+    head, columns, *rows = out.splitlines()
+    assert head.startswith("puma560: 8 of 8 branches reach the goal")
+    assert [row.split()[1] for row in rows] == list(robots.puma560().branches)
+
+
+def test_negative_numbers_are_numbers(run):
+    code, out, _ = run("solve", "ur5", "--xyz", "-0.4", "-.2", "3e-1", "--rpy", "-1", "0", "-0.5", "--json")
+    assert code == 0
+    assert [row[3] for row in json.loads(out)["goal"][:3]] == pytest.approx([-0.4, -0.2, 0.3])
+
+
+def test_a_goal_out_of_reach_exits_with_1(run):
+    code, out, _ = run("solve", "puma560", *FAR, "--json")
+    assert code == 1
+    assert not any(row["valid"] for row in json.loads(out)["branches"])
+
+
+def test_limits_may_leave_nothing(run):
+    words = ["solve", "puma560", "--xyz", "0", "0.16", "-0.1"]
+    code, out, _ = run(*words, "--json")
+    rows = json.loads(out)["branches"]
+    assert code == 0 and not any(row["within_limits"] for row in rows)
+    assert run(*words, "--limits")[0] == 1
+
+
+def test_both_precisions_agree(run):
+    exact, rough = (
+        json.loads(run("solve", "ur5", *GOAL, "--json", *more)[1])["branches"] for more in ([], ["--float32"])
+    )
+    assert exact[0]["q"] == pytest.approx(rough[0]["q"], abs=1e-4)
+    assert exact[0]["q"] != rough[0]["q"]
+
+
+@pytest.mark.parametrize(
+    "words, says",
+    [
+        (["solve", "nobody", *GOAL], "no robot 'nobody'"),
+        (["solve", "no\x1b[31mbody", *GOAL], r"no robot 'no\x1b[31mbody'"),
+        (["solve", "puma560", "--xyz", "1", "2"], "--xyz"),
+        (["solve", "puma560", "--xyz", "1", "2", "three"], "invalid float value: 'three'"),
+        (["solve", "puma560", "--xyz", "nan", "0", "0"], "finite"),
+        (["solve", "puma560", "--xyz", "0", "0", "0", "--wxyz", "0", "0", "0", "0"], "length 1"),
+        (["solve", "puma560", *GOAL, "--q-now", "1", "2"], "q_now must have shape"),
+        (["solve", "puma560", *GOAL, "--\x1b[2J"], r"\x1b[2J"),
+        (["sweep", "puma560", "--spacing", "0"], "not a positive number"),
+        (["sweep", "puma560", "--spacing", "nan"], "not a positive number"),
+        (["sweep", "puma560", "--spacing", "1e-6"], "positions, 2^31 or more"),
+        (["sweep", "puma560", "--spacing", "0.3", "--orientations", "0", "--json"], "n must be at least 1"),
+        (["sweep", "puma560", "--picture", "map.exe"], "--picture must end in"),
+        (["show", "nowhere.zarr"], "holds no ikjax map"),
+        (["fly"], "invalid choice: 'fly'"),
+        ([], "COMMAND"),
+    ],
+)
+def test_bad_input_exits_with_2_and_one_line(run, words, says):
+    code, out, err = run(*words)
+    assert (code, out) == (2, "")
+    assert err.startswith("ikjax") and err.count("\n") == 1
+    assert says in err and "\x1b" not in err
+
+
+def test_millimetres_are_noticed(run):
+    code, _, err = run("solve", "puma560", "--xyz", "4000", "0", "0")
+    assert code == 1
+    assert "are these millimetres?" in err and err.count("\n") == 1
+
+
+def test_something_else_at_out_is_left_alone_before_anything_is_swept(run, tmp_path):
+    pytest.importorskip("tensorstore")
+    (tmp_path / "letter").write_text("dear")
+    code, _, err = run("sweep", "ur5", "--out", tmp_path / "letter")
+    assert code == 2 and "left alone" in err
+    assert (tmp_path / "letter").read_text() == "dear"
+
+
+def test_a_stored_map_shows_what_the_sweep_said(run, swept):
+    path, said = swept
+    code, out, _ = run("show", path, "--json")
+    assert code == 0 and json.loads(out) == said
+    assert run("show", path)[1].startswith("ur5: ")
+
+
+def test_a_damaged_map_is_refused(run, swept):
+    path, _ = swept
+    chunk = next(
+        file for file in (path / "solutions").rglob("*") if file.is_file() and file.name != "zarr.json"
+    )
+    data = bytearray(chunk.read_bytes())
+    data[5] ^= 1
+    chunk.write_bytes(data)
+    code, _, err = run("show", path)
+    assert code == 2 and "solutions is damaged" in err
+
+
+def test_a_stored_map_becomes_a_picture(run, swept, tmp_path):
+    pytest.importorskip("matplotlib")
+    picture = tmp_path / "deep" / "map.png"
+    assert run("show", swept[0], "--picture", picture)[0] == 0
+    assert picture.stat().st_size > 10_000
+
+
+def test_doctor_finds_this_device_well(run):
+    code, out, _ = run("doctor", "--json")
+    data = json.loads(out)
+    assert code == 0 and all(check["ok"] for check in data["checks"])
+    assert {"python", "jax", "jaxlib", "numpy", "devices"} <= set(data)
+
+
+def test_a_reader_that_leaves_early_is_no_error():
+    command = [sys.executable, "-m", "ikjax.cli", "info"]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment
+    ) as program:
+        program.stdout.close()
+        assert program.wait(120) == 0
+        assert b"Traceback" not in program.stderr.read()
