@@ -229,7 +229,7 @@ def _ticks(reach) -> tuple[np.ndarray, ...]:
 def _plane(reach, piece: Slice) -> Plane:
     try:
         letter, value = piece
-        axis, value = "xyz".index(letter), float(value)
+        axis, value = ("x", "y", "z").index(letter), float(value)
     except (TypeError, ValueError) as error:
         raise ValueError(f'a slice must be ("x", "y" or "z", metres), got {piece!r}') from error
     ticks = _ticks(reach)[axis]

@@ -27,10 +27,10 @@ def run(capsys):
 @pytest.fixture
 def swept(run, tmp_path):
     pytest.importorskip("tensorstore")
-    code, out, _ = run(
+    code, out, err = run(
         "sweep", "ur5", "--spacing", 0.3, "--orientations", 8, "--out", tmp_path / "a.zarr", "--json"
     )
-    assert code == 0
+    assert code == 0, err
     return tmp_path / "a.zarr", json.loads(out)
 
 
@@ -49,7 +49,7 @@ def test_info_prints_a_table_and_the_family(run):
 def test_solve_prints_eight_rows(run):
     code, out, err = run("solve", "puma560", *GOAL)
     assert (code, err) == (0, "")
-    head, columns, *rows = out.splitlines()
+    head, _, *rows = out.splitlines()
     assert head.startswith("puma560: 8 of 8 branches reach the goal")
     assert [row.split()[1] for row in rows] == list(robots.puma560().branches)
 

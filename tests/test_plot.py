@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 import ikjax
+from ikjax import plot
 
 pytest.importorskip("matplotlib").use("Agg")
-import matplotlib.pyplot as plt
-
-from ikjax import plot
+plt = pytest.importorskip("matplotlib.pyplot")
 
 GOAL = ikjax.pose(xyz=(0.4, 0.2, 0.3), rpy=(3.14, 0, 0.6))
 

@@ -45,6 +45,8 @@ def solve(arm: Arm, goals, q_now=None, *, tolerance: float | None = None) -> Sol
         q_now = jnp.asarray(q_now, goals.dtype)
         if q_now.ndim == 0 or q_now.shape[-1] != arm.n:
             raise ValueError(f"q_now must have shape (..., {arm.n}), got {q_now.shape}")
+        if np.broadcast_shapes(q_now.shape[:-1], batch) != batch:
+            raise ValueError(f"q_now {q_now.shape} must broadcast to the goals, {(*batch, arm.n)}")
         q_now = jnp.broadcast_to(q_now, (*batch, arm.n))
     if is_traced((goals, q_now)) or is_traced(arm):
         # An arm that is not traced itself becomes constants of the caller's jit.
@@ -77,6 +79,8 @@ def what_was_found(arm: Arm) -> str:
     lines = [f"Found: joints {arm.kinds}; {axes}.", "Families:"]
     for name, rule in structure.RULES.items():
         lines.append(f"  {name}: {rule.summary}.")
+        if name not in verdict.evidence:
+            continue
         lines.append(f"    Not this arm: {structure.describe(verdict.evidence[name])}.")
     return "\n".join(lines)
 

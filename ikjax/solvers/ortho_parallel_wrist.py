@@ -13,7 +13,7 @@ Steps:
 Bits:
 1. front: the wrist is on the side of axis 1 where axis 2 stands (a1); along x1 if a1 = 0.
 2. up: the elbow is above the line from shoulder to wrist, for an arm that faces its wrist.
-3. noflip: sin(t5) has the sign of sin(alpha4) d4.
+3. noflip: sin(t5) has the sign of sin(alpha4) d4 (of sin(alpha4) if d4 = 0).
 
 Source: the three steps are Craig's, Introduction to Robotics, 3rd ed., section 4.7; Brandstotter,
 Angerer, Hofbaur, An analytical solution of the inverse kinematics problem of industrial serial

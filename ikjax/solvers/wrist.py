@@ -92,7 +92,10 @@ def general_wrist(
         a = (cosine, c4 * sine, s4 * sine)
         b = (-c5 * sine, c4 * c5 * cosine - s4 * s5, s4 * c5 * cosine + c4 * s5)
         ahead, aside = (_turned(first, w) for w in (a, b))
-        last = angle(vector.dot(aside, x), vector.dot(ahead, x))
+        x_aside, x_ahead = vector.dot(aside, x), vector.dot(ahead, x)
+        # Of length one, except where t5 is clamped.
+        size = safe.reciprocal_sqrt(x_aside * x_aside + x_ahead * x_ahead)
+        last = angle(x_aside * size, jnp.where(size == 0, 1, x_ahead * size))
         answers.append(Wrist((first, angle(sine, cosine), last), margin, free))
     return answers[0], answers[1]
 

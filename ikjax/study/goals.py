@@ -4,6 +4,7 @@ Storey: study. A goal is a function of two integers, its position's and its orie
 """
 
 import dataclasses
+import math
 
 import numpy as np
 
@@ -27,7 +28,7 @@ class Grid:
     @property
     def count(self) -> int:
         """Number of positions."""
-        return int(np.prod(self.shape))
+        return math.prod(self.shape)
 
     def axis(self, k: int) -> np.ndarray:
         """The coordinates along x (0), y (1) or z (2) [m]."""
@@ -53,11 +54,15 @@ def grid(lower, upper, spacing: float) -> Grid:
         raise ValueError(f"lower and upper must have shape (3,), got {lower.shape} and {upper.shape}")
     if not (np.isfinite(lower).all() and np.isfinite(upper).all() and (lower <= upper).all()):
         raise ValueError(f"lower must not exceed upper, got {lower} and {upper}")
-    if not 0 < spacing < np.inf:
-        raise ValueError(f"spacing must be a positive number of metres, got {spacing}")
+    _check_spacing(spacing)
     shape = np.floor((upper - lower) / spacing + 1e-9).astype(int) + 1
     origin = (lower + upper - (shape - 1) * spacing) / 2
     return Grid(tuple(map(float, origin)), float(spacing), tuple(map(int, shape)))
+
+
+def _check_spacing(spacing: float) -> None:
+    if not 0 < spacing < np.inf:
+        raise ValueError(f"spacing must be a positive number of metres, got {spacing}")
 
 
 def around(arm: Arm, spacing: float) -> Grid:
@@ -67,6 +72,7 @@ def around(arm: Arm, spacing: float) -> Grid:
         arm: The arm.
         spacing: Between neighbours [m].
     """
+    _check_spacing(spacing)
     baked = arm.baked()
     centre = np.asarray(baked.base, float)[:3, 3] + float(baked.d[0]) * np.asarray(baked.base, float)[:3, 2]
     radius = float(reach(baked)) - abs(float(baked.d[0]))

@@ -4,6 +4,7 @@ Storey: study. Needs the extra `sweep`. A flipped bit or a missing chunk is an e
 read, never a wrong number. The group opens in zarr and xarray as well.
 """
 
+import dataclasses
 import hashlib
 import json
 import math
@@ -100,14 +101,23 @@ def arm_to_spec(arm: Arm) -> dict:
     """An arm as JSON: lists of numbers, infinities as null."""
     columns = {name: np.asarray(getattr(arm, name), float).tolist() for name in _LEAVES}
     columns["limits"] = [[x if math.isfinite(x) else None for x in pair] for pair in columns["limits"]]
-    return {"name": arm.name, "kinds": arm.kinds, "dtype": np.dtype(arm.dtype).name, **columns}
+    return {"name": arm.name, "kinds": arm.kinds, **{key: getattr(arm, key) for key in _FACTS}, **columns}
 
 
 def arm_from_spec(spec: dict) -> Arm:
     """The arm of `arm_to_spec`, recognised anew."""
     limits = [[-math.inf if lo is None else lo, math.inf if hi is None else hi] for lo, hi in spec["limits"]]
     table = {name: spec[name] for name in _LEAVES} | {"limits": limits}
-    return Arm.from_dh(**table, kinds=spec["kinds"], name=spec["name"], convention="standard")
+    # Leaves that were rounded to float32 are judged as such: the family is the one that was stored.
+    arm = Arm.from_dh(**table, kinds=spec["kinds"], name=spec["name"], convention="standard")
+    return dataclasses.replace(
+        arm,
+        family=spec["family"],
+        signs=tuple(spec["signs"]),
+        branches=tuple(spec["branches"]),
+        task=spec["task"],
+    )
 
 
+_FACTS = ("family", "signs", "branches", "task")
 _LEAVES = ("a", "alpha", "d", "theta", "base", "tool", "limits")

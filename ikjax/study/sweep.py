@@ -33,6 +33,10 @@ TILES = 64
 """Blocks of positions in one call; between calls there is progress to show."""
 
 
+MOST_POSITIONS = 2**31 - POSITIONS * TILES
+"""Positions are numbered in 32 bits."""
+
+
 def sweep(
     arm: Arm,
     positions: Grid,
@@ -61,6 +65,10 @@ def sweep(
     dtype = np.dtype(arm.dtype if dtype is None else dtype)
     if dtype.name not in TOLERANCE:
         raise ValueError(f"dtype must be float32 or float64, got {dtype}")
+    if positions.count > MOST_POSITIONS:
+        raise ValueError(
+            f"positions must be at most {MOST_POSITIONS:,} in one sweep, got {positions.count:,}"
+        )
     if jnp.zeros((), dtype).dtype != dtype:
         raise ValueError(f"dtype {dtype} needs jax_enable_x64")
     unit = _compile_unit(arm, positions, rotations, dtype)

@@ -172,7 +172,7 @@ class TestRaises:
             ikjax.solve(ARM, np.eye(4)[None], np.zeros(shape))
 
     def test_places_that_do_not_fit_the_goals(self):
-        with pytest.raises(ValueError, match=r"\(3, 6\)"):
+        with pytest.raises(ValueError, match=r"q_now must .*\(3, 6\)"):
             ikjax.solve(ARM, np.tile(np.eye(4), (2, 1, 1)), np.zeros((3, 6)))
 
     def test_goals_of_a_wrong_type_inside_jit(self):
@@ -189,7 +189,7 @@ class TestRequire:
         lost = goals[:8].copy()
         lost[[1, 2, 3, 4, 5, 6], 0, 3] += 5
         with pytest.raises(
-            ValueError, match=r"6 of 8 goals have no solution: goal 1 \(margin -4\.\d+ m\), 2 .*and 1 more"
+            ValueError, match=r"6 of 8 goals have no solution: goal 1 \(margin -3\.53 m\), 2 .* and 1 more"
         ):
             ikjax.solve(ARM, lost).require()
         with pytest.raises(ValueError, match=r"goal \(0, 1\) \(margin"):

@@ -204,9 +204,7 @@ def reversed_joint(arm, i) -> ikjax.Arm:
 
 
 @pytest.mark.parametrize("joint", range(6))
-@pytest.mark.parametrize(
-    "name", ["every_offset", "skew_wrist", "no_d4", "kr6_r900", "ur5", "parallel_both_reversed"]
-)
+@pytest.mark.parametrize("name", ["every_offset", "skew_wrist", "kr6_r900", "ur5", "parallel_both_reversed"])
 class TestSlotsKeepTheirMeaning:
     def _compare(self, arm, other, sign, shift):
         q = arms.joints(arm.name, 100, seed=9)

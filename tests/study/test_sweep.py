@@ -55,10 +55,17 @@ def test_a_map_comes_back_from_disk_as_it_went(reach, tmp_path):
     pytest.importorskip("tensorstore")
     reach.save(tmp_path / "map.zarr")
     back = ikjax.ReachMap.load(tmp_path / "map.zarr")
-    for name in ("reachable", "solutions", "reachable_within", "solutions_within", "best_margin", "rotations"):
+    for name in (
+        "reachable",
+        "solutions",
+        "reachable_within",
+        "solutions_within",
+        "best_margin",
+        "rotations",
+    ):
         assert np.array_equal(getattr(back, name), getattr(reach, name))
     assert back.summary() == reach.summary() and back.grid == reach.grid
-    assert str(back.arm) == str(reach.arm)
+    assert str(back.arm) == str(reach.arm) and back.arm.family == reach.arm.family
 
 
 def test_a_damaged_map_is_refused_never_read(reach, tmp_path):
