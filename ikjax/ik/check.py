@@ -52,8 +52,9 @@ def check_goals(arm: Arm, goals) -> None:
         hint = ": transposed?" if np.any(goal[3, :3]) else ""
         raise ValueError(f"{name} must have bottom row (0, 0, 0, 1), got {goal[3]}{hint}")
     rotation = flat[:, :3, :3]
-    error = np.linalg.norm(np.swapaxes(rotation, 1, 2) @ rotation - np.eye(3), axis=(1, 2))
-    bad = error > ROTATION_TOLERANCE
+    with np.errstate(over="ignore", invalid="ignore"):  # of a matrix of 1e308, say
+        error = np.linalg.norm(np.swapaxes(rotation, 1, 2) @ rotation - np.eye(3), axis=(1, 2))
+    bad = ~(error <= ROTATION_TOLERANCE)
     if bad.any():
         name, _ = first(bad)
         raise ValueError(f"{name} must hold a rotation, its R^T R - I has norm {error[bad][0]:.1g}")

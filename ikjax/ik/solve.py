@@ -45,9 +45,10 @@ def solve(arm: Arm, goals, q_now=None, *, tolerance: float | None = None) -> Sol
         q_now = jnp.asarray(q_now, goals.dtype)
         if q_now.ndim == 0 or q_now.shape[-1] != arm.n:
             raise ValueError(f"q_now must have shape (..., {arm.n}), got {q_now.shape}")
-        if np.broadcast_shapes(q_now.shape[:-1], batch) != batch:
-            raise ValueError(f"q_now {q_now.shape} must broadcast to the goals, {(*batch, arm.n)}")
-        q_now = jnp.broadcast_to(q_now, (*batch, arm.n))
+        try:
+            q_now = jnp.broadcast_to(q_now, (*batch, arm.n))
+        except ValueError as error:
+            raise ValueError(f"q_now must have shape {(*batch, arm.n)}, got {q_now.shape}") from error
     if is_traced((goals, q_now)) or is_traced(arm):
         # An arm that is not traced itself becomes constants of the caller's jit.
         return solve_here(arm if is_traced(arm) else arm.baked(), goals, q_now, tolerance)
@@ -107,7 +108,8 @@ def as_goals(goals) -> jax.Array:
         raise ValueError(f"goals must have shape (..., 4, 4), got {goals.shape}")
     if goals.dtype == np.float64 and jnp.result_type(float) == jnp.float32:
         _say_once_that_x64_is_off()
-    return jnp.asarray(goals, jnp.result_type(goals.dtype))
+        goals = np.asarray(goals, np.float32)
+    return jnp.asarray(goals)
 
 
 @functools.cache
