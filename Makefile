@@ -3,12 +3,14 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: sweep test long bench notebooks lint clean
+.PHONY: sweep test suite long bench notebooks lint clean
 
 sweep: $(VENV)/run.stamp            ## sweep a PUMA 560's workspace: a map, a picture, a summary
 	$(BIN)/ikjax sweep puma560 --spacing 0.03 --orientations 512 --out out/puma560.zarr --picture out/puma560.png
 
-test: lint $(VENV)/dev.stamp        ## linter, types, fast tests with the README's examples
+test: lint suite                    ## linter, types, fast tests with the README's examples
+
+suite: $(VENV)/dev.stamp
 	$(BIN)/python -m pytest
 
 lint: $(VENV)/dev.stamp

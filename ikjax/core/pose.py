@@ -49,7 +49,7 @@ def from_matrix(matrix) -> Pose:
 def to_matrix(pose: Pose) -> jax.Array:
     """The (..., 4, 4) array of a pose whose scalars have shape (...)."""
     scalars = [*(c for row in pose.rotation for c in row), *pose.position]
-    scalars = jnp.broadcast_arrays(*scalars)
+    scalars = list(jnp.broadcast_arrays(*scalars))
     zero, one = jnp.zeros_like(scalars[0]), jnp.ones_like(scalars[0])
     rows = [[*scalars[3 * i : 3 * i + 3], scalars[9 + i]] for i in range(3)]
     rows.append([zero, zero, zero, one])
