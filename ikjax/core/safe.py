@@ -1,7 +1,10 @@
 """Square roots, lengths and quotients with a finite value and a finite slope at every edge.
 
-Storey: core. Everything above handles its edges by calling these.
+Storey: core. Everything above handles its edges by calling these. A Python number, known while
+tracing, stays one: as an array it would carry its own type into a kernel of another.
 """
+
+import math
 
 import jax
 import jax.numpy as jnp
@@ -9,27 +12,33 @@ import jax.numpy as jnp
 from ikjax.core.trig import Scalar
 
 
-def sqrt(x: Scalar) -> jax.Array:
+def sqrt(x: Scalar) -> Scalar:
     """Square root that is flat, not infinite, at and below zero."""
+    if isinstance(x, int | float):
+        return math.sqrt(max(x, 0.0))
     inside = x > 0
     # Two masks on purpose: the inner one keeps the unused side finite, because
     # reverse mode multiplies its slope by zero, and 0 * inf is NaN.
     return jnp.where(inside, jnp.sqrt(jnp.where(inside, x, 1)), 0)
 
 
-def reciprocal_sqrt(x: Scalar) -> jax.Array:
+def reciprocal_sqrt(x: Scalar) -> Scalar:
     """1 / sqrt(x), and zero at and below zero."""
+    if isinstance(x, int | float):
+        return 1 / math.sqrt(x) if x > 0 else 0.0
     inside = x > 0
     return jnp.where(inside, 1 / jnp.sqrt(jnp.where(inside, x, 1)), 0)
 
 
-def divide(numerator: Scalar, denominator: Scalar) -> jax.Array:
+def divide(numerator: Scalar, denominator: Scalar) -> Scalar:
     """Quotient, and zero where the denominator is zero."""
+    if isinstance(denominator, int | float):
+        return numerator / denominator if denominator else 0.0 * numerator
     usable = denominator != 0
     return jnp.where(usable, numerator / jnp.where(usable, denominator, 1), 0)
 
 
-def norm(*components: Scalar) -> jax.Array:
+def norm(*components: Scalar) -> Scalar:
     """Euclidean length, with slope zero at the origin.
 
     Exact to rounding while the squares neither overflow nor vanish; kernels work in units of the
@@ -39,7 +48,7 @@ def norm(*components: Scalar) -> jax.Array:
 
 
 def sign(x: Scalar) -> Scalar:
-    """-1 below zero, else 1; a Python number stays one."""
+    """-1 below zero, else 1."""
     if isinstance(x, int | float):
         return -1.0 if x < 0 else 1.0
     return jnp.where(x < 0, -1, 1).astype(x.dtype)

@@ -173,7 +173,7 @@ def _statistics(arm: Arm, goal: Pose, real) -> tuple[jax.Array, jax.Array]:
         margin = jnp.maximum(margin, jnp.where(real, slot.margin, -jnp.inf))
     fields = (some.astype(jnp.int32), number, inside_some.astype(jnp.int32), inside_number)
     code = fields[0] + (fields[1] << 6) + (fields[2] << 15) + (fields[3] << 21)
-    groups = code.reshape(code.shape[0], -1, GROUP).sum(-1)
+    groups = code.reshape(code.shape[0], -1, GROUP).sum(-1, dtype=jnp.int32)
     parts = [groups & 63, groups >> 6 & 511, groups >> 15 & 63, groups >> 21 & 511]
     return jnp.stack([part.sum(-1) for part in parts], axis=-1), margin.max(-1)
 
