@@ -5,6 +5,8 @@ Storey: core.
 
 from typing import NamedTuple
 
+import jax.numpy as jnp
+
 from ikjax.core import safe
 from ikjax.core.trig import Scalar
 
@@ -22,12 +24,14 @@ class CosineSine(NamedTuple):
     """a = b = 0: no angle is told apart, and `sin`, `cos` are zero."""
 
 
-def cosine_sine(a: Scalar, b: Scalar, c: Scalar, side: Scalar) -> CosineSine:
+def cosine_sine(a: Scalar, b: Scalar, c: Scalar, side: Scalar, noise: float = 0.0) -> CosineSine:
     """Solve a cos(t) + b sin(t) = c by its sine and cosine, with nothing infinite at t = pi.
 
     Args:
         a, b, c: Coefficients of one unit.
         side: +1 or -1: the sign of b cos(t) - a sin(t), which tells the two roots apart.
+        noise: What rounding may have taken from hypot(a, b). It is put back near a double root, so
+            that the true one lies between the two that are returned.
 
     Returns:
         The root, clamped to the nearest angle where there is none.
@@ -36,7 +40,11 @@ def cosine_sine(a: Scalar, b: Scalar, c: Scalar, side: Scalar) -> CosineSine:
     coordinates instead of the half angle's tangent.
     """
     size_squared = a * a + b * b
-    height = side * safe.sqrt(size_squared - c * c)
+    gap = size_squared - c * c
+    if noise:
+        taken = 2 * noise * abs(c)
+        gap = jnp.where(gap < 64 * taken, gap + taken, gap)
+    height = side * safe.sqrt(gap)
     # The length of (c, height) is hypot(a, b), except where the root is clamped.
     weight = safe.reciprocal_sqrt(size_squared * (height * height + c * c))
     return CosineSine(

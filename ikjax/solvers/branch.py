@@ -20,6 +20,8 @@ class Setting(NamedTuple):
     """DH angles that fill what is arbitrary."""
     tiny: float
     """Lengths (in units of the reach) and sines below this are zero."""
+    noise: float
+    """What rounding may have taken from a length."""
     hold: Callable[[Scalar], Scalar]
     """Called on what many outputs share; see `ik.graph`."""
 

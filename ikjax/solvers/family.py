@@ -150,7 +150,7 @@ def solve_scalars(
     allowed = tolerance * (1 + vector.norm(scaled.position))
 
     slots = []
-    setting = Setting(fill, tiny, hold)
+    setting = Setting(fill, tiny, tiny / 8, hold)
     family = FAMILIES[str(arm.family)]
     for branch in family.branches(arm.signs, frame.links, tip, setting):
         gap_squared, turn_squared = map(hold, _mismatch(frame, family, branch))

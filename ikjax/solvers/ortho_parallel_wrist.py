@@ -49,13 +49,15 @@ def branches(
     lateral = s1 * (two.d + c2 * (three.d + four.d * three.cos_alpha))
     upper, fore_x, fore_y = two.a, three.a, -c2 * four.d * three.sin_alpha
     fore = safe.norm(fore_x, fore_y)
+    # Joints 2 and 3 settle whether a wrist of other twists reaches at all.
+    noise = 0.0 if square else setting.noise
     facing, pointing = safe.sign(one.a), s4 * safe.sign(four.d)
     slots: dict[int, Branch] = {}
     for slot in range(4):
         side, height, _ = bits(slot)
         base = shoulder(x, y, lateral, side * facing, setting)
         left = up * s1 * side * facing * height
-        arm = triangle(base.ahead - one.a, s1 * (z - one.d), upper, fore, left, setting)
+        arm = triangle(base.ahead - one.a, s1 * (z - one.d), upper, fore, left, setting, noise)
         # Joint 3 is the elbow angle less the bend that the forearm's own offset makes.
         t3_sin = (arm.elbow_sin * fore_x - arm.elbow_cos * fore_y) / fore
         t3_cos = (arm.elbow_cos * fore_x + arm.elbow_sin * fore_y) / fore

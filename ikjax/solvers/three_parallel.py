@@ -21,12 +21,16 @@ Source: the order of the steps is that of the lectures' elbow manipulator (ME/SE
 the offsets, the signs and the singular rule are ours.
 """
 
+from typing import NamedTuple
+
+import jax
 import jax.numpy as jnp
 
 from ikjax.arm.forward import Link
 from ikjax.core import safe, vector
 from ikjax.core.pose import Pose
-from ikjax.core.trig import Angle, Scalar, angle
+from ikjax.core.roots import cosine_sine
+from ikjax.core.trig import Angle, Scalar, SinCos, angle
 from ikjax.solvers.branch import Branch, Setting, bits
 from ikjax.solvers.shoulder import shoulder
 from ikjax.solvers.triangle import ring, triangle
@@ -47,54 +51,127 @@ def branches(
     facing = safe.sign(one.a)
     hand = (four.a, -c23 * s4 * five.d)  # from axis 4 to where 5 and 6 meet, at pitch 0
     pitch_now = _whole_pitch(setting.now, c2, c23)
-    tiny, turned = setting.tiny, setting.angle
-    slots = []
-    for slot in range(8):
-        side, height, wrist = bits(slot)
+    turned = setting.angle
+    slots: dict[int, Branch] = {}
+    for first in (0, 1, 4, 5):
+        side, _, wrist = bits(first)
         base = shoulder(x, y, lateral, side * facing, setting)
+        t5_side = wrist * facing * (up * s1 * c23 * s4)
         seen = setting.unwind(goal, links, (base.turn,))
+        links_up = Links(two.a, three.a, hand, one.a)
+        pitch = _pitch(seen, links_up, s5 * t5_side, pitch_now, setting)
+        t1 = _turned_on(base.turn, s1, pitch.on, setting)
+        seen = jax.tree.map(setting.hold, _seen_turned(seen, one.a, pitch.on))
         v, _, n = vector.transpose(seen.rotation)
-
-        rho_squared = n[0] * n[0] + n[1] * n[1]
-        free = rho_squared <= tiny * tiny
-        t5_sin = wrist * facing * (up * s1 * c23 * s4) * safe.sqrt(rho_squared)
+        t5_sin = t5_side * vector.norm((n[0], n[1], 0.0))
         t5_cos = -c23 * s4 * s5 * n[2]
-        weight = s5 * wrist * facing * (up * s1 * c23 * s4) * safe.reciprocal_sqrt(rho_squared)
-        p_sin = jnp.where(free, pitch_now.sin, n[1] * weight)
-        p_cos = jnp.where(free, pitch_now.cos, n[0] * weight)
-
-        ahead, rise = base.ahead - one.a, s1 * (z - one.d)
-        # So near the singularity the pitch is noise, or arbitrary: it may serve the triangle.
-        loose = rho_squared <= 4 * tiny
-        p_sin, p_cos = _closing(ahead, rise, hand, two.a, three.a, p_sin, p_cos, loose)
-        arm = triangle(
-            ahead - (p_cos * hand[0] - p_sin * hand[1]),
-            rise - (p_sin * hand[0] + p_cos * hand[1]),
-            two.a,
-            three.a,
-            up * s1 * side * facing * height,
-            setting,
-        )
-        # c23 t4 = pitch - (t2 + elbow)
-        fore_sin = arm.shoulder_sin * arm.elbow_cos + arm.shoulder_cos * arm.elbow_sin
-        fore_cos = arm.shoulder_cos * arm.elbow_cos - arm.shoulder_sin * arm.elbow_sin
-        t4_sin = p_sin * fore_cos - p_cos * fore_sin
-        t4_cos = p_cos * fore_cos + p_sin * fore_sin
         # The goal's x axis against the axes that joint 6 turns it between.
-        forward = p_cos * v[0] + p_sin * v[1]
+        forward = pitch.cos * v[0] + pitch.sin * v[1]
         t6_cos = t5_cos * forward + c23 * s4 * t5_sin * v[2]
-        t6_sin = c23 * s4 * s5 * (p_sin * v[0] - p_cos * v[1])
-        joints = (
-            base.turn,
-            turned(arm.shoulder_sin, arm.shoulder_cos),
-            turned(c2 * arm.elbow_sin, arm.elbow_cos),
-            turned(c23 * t4_sin, t4_cos),
-            turned(t5_sin, t5_cos),
-            turned(t6_sin, t6_cos),
-        )
-        margin = jnp.minimum(base.margin, arm.margin)
-        slots.append(Branch(joints, seen, margin, base.continuum | free | arm.continuum))
-    return tuple(slots)
+        t6_sin = c23 * s4 * s5 * (pitch.sin * v[0] - pitch.cos * v[1])
+        wrist_joints = turned(t5_sin, t5_cos), turned(t6_sin, t6_cos)
+        for height in (1, -1):
+            arm = triangle(
+                seen.position[0] - (pitch.cos * hand[0] - pitch.sin * hand[1]),
+                seen.position[1] - (pitch.sin * hand[0] + pitch.cos * hand[1]),
+                two.a,
+                three.a,
+                up * s1 * side * facing * height,
+                setting,
+            )
+            # c23 t4 = pitch - (t2 + elbow)
+            fore_sin = arm.shoulder_sin * arm.elbow_cos + arm.shoulder_cos * arm.elbow_sin
+            fore_cos = arm.shoulder_cos * arm.elbow_cos - arm.shoulder_sin * arm.elbow_sin
+            t4_sin = pitch.sin * fore_cos - pitch.cos * fore_sin
+            t4_cos = pitch.cos * fore_cos + pitch.sin * fore_sin
+            joints = (
+                t1,
+                turned(arm.shoulder_sin, arm.shoulder_cos),
+                turned(c2 * arm.elbow_sin, arm.elbow_cos),
+                turned(c23 * t4_sin, t4_cos),
+                *wrist_joints,
+            )
+            margin = jnp.minimum(base.margin, arm.margin)
+            free = base.continuum | pitch.free | arm.continuum
+            slots[first + (0 if height == 1 else 2)] = Branch(joints, seen, margin, free)
+    return tuple(slots[slot] for slot in range(8))
+
+
+class Links(NamedTuple):
+    """What stands in the arm's plane, in units of the reach."""
+
+    upper: Scalar
+    fore: Scalar
+    hand: tuple[Scalar, Scalar]
+    """From axis 4 to where axes 5 and 6 meet, at pitch 0."""
+    first: Scalar
+    """a1: from axis 1 to axis 2."""
+
+
+class Pitch(NamedTuple):
+    """The whole pitch t2 + c2 t3 + c2 c3 t4."""
+
+    sin: Scalar
+    cos: Scalar
+    on: SinCos
+    """How far joint 1 is turned on, about y1, so that this pitch is the goal's."""
+    free: Scalar
+    """Axis 6 is parallel to axis 2, so that every pitch is the goal's."""
+
+
+def _pitch(seen: Pose, links: Links, side: Scalar, now: Angle, setting: Setting) -> Pitch:
+    """The pitch that axis 6 asks for, or one as good to rounding for which the triangle closes.
+
+    Axis 6 near axis 2 makes the pitch noise; the wrist near its cylinder, or near axis 1, makes
+    joint 1 noise and the pitch with it. Either freedom may serve the triangle, and where it cannot
+    close otherwise it must: the answer is there, but rounding has moved it.
+
+    Args:
+        seen: The goal seen from frame 1.
+        links: The triangle.
+        side: +1 or -1 times the part of axis 6 in the plane points along the pitch.
+        now: The pitch where it is arbitrary.
+        setting: What counts as zero.
+    """
+    tiny = setting.tiny
+    n = tuple(row[2] for row in seen.rotation)
+    x, y, z = seen.position
+    ahead = x + links.first
+    rho_squared = n[0] * n[0] + n[1] * n[1]
+    free = rho_squared <= tiny * tiny
+    weight = side * safe.reciprocal_sqrt(rho_squared)
+    p_sin = jnp.where(free, now.sin, n[1] * weight)
+    p_cos = jnp.where(free, now.cos, n[0] * weight)
+    loose = rho_squared <= 4 * tiny
+    on_sin, on_cos = 0.0, 1.0
+    # Twice, because turning joint 1 on moves the wrist a little, too.
+    for _ in range(2):
+        there = ahead * on_cos - z * on_sin - links.first
+        new_sin, new_cos, moved = _closing(there, y, links, p_sin, p_cos)
+        root = cosine_sine(n[0] * new_sin, -n[2] * new_sin, n[1] * new_cos, safe.sign(-n[2] * new_sin))
+        slip = jnp.abs(ahead * root.sin) + jnp.abs(z) * (1 - root.cos)
+        able = moved & ~root.free & (slip <= tiny) & (root.margin >= -tiny) & (side * n[1] * new_sin >= 0)
+        on_sin, on_cos = jnp.where(able, root.sin, 0), jnp.where(able, root.cos, 1)
+    moved &= loose | able
+    return Pitch(jnp.where(moved, new_sin, p_sin), jnp.where(moved, new_cos, p_cos), (on_sin, on_cos), free)
+
+
+def _turned_on(t1: Angle, s1: int, on: SinCos, setting: Setting) -> Angle:
+    sine, cosine = s1 * on[0], on[1]
+    return setting.angle(t1.sin * cosine + t1.cos * sine, t1.cos * cosine - t1.sin * sine)
+
+
+def _seen_turned(seen: Pose, a1: Scalar, on: SinCos) -> Pose:
+    """The goal seen from frame 1 after joint 1 is turned on: all turns back about y1, through axis 1."""
+    sine, cosine = on
+
+    def back(v):
+        return (v[0] * cosine - v[2] * sine, v[1], v[0] * sine + v[2] * cosine)
+
+    columns = (back(column) for column in vector.transpose(seen.rotation))
+    x, y, z = seen.position
+    x, y, z = back((x + a1, y, z))
+    return Pose(vector.transpose(tuple(columns)), (x - a1, y, z))
 
 
 def _whole_pitch(now: tuple[Angle, ...], c2: int, c23: int) -> Angle:
@@ -109,17 +186,18 @@ def _whole_pitch(now: tuple[Angle, ...], c2: int, c23: int) -> Angle:
 
 
 def _closing(
-    x: Scalar, y: Scalar, hand, upper: Scalar, fore: Scalar, p_sin, p_cos, loose
-) -> tuple[Scalar, Scalar]:
-    """The pitch, where it is loose, moved as little as lets the links reach axis 4.
+    x: Scalar, y: Scalar, links: Links, p_sin: Scalar, p_cos: Scalar
+) -> tuple[Scalar, Scalar, Scalar]:
+    """The pitch moved as little as lets the links reach axis 4, and whether it had to be.
 
     Axis 4 lies at (x, y) less the hand turned by the pitch; its distance from the shoulder is
     brought into the ring by the law of cosines, on the side where the hand already is.
     """
+    hand = links.hand
     reach_squared, hand_squared = x * x + y * y, hand[0] * hand[0] + hand[1] * hand[1]
     hx, hy = p_cos * hand[0] - p_sin * hand[1], p_sin * hand[0] + p_cos * hand[1]
     span_squared = (x - hx) ** 2 + (y - hy) ** 2
-    low, high = ring(upper, fore)
+    low, high = ring(links.upper, links.fore)
     wanted = jnp.clip(span_squared, low * low, high * high)
     size_squared = reach_squared * hand_squared
     weight = safe.reciprocal_sqrt(size_squared)
@@ -127,7 +205,7 @@ def _closing(
     sine = safe.sign(x * hy - y * hx) * safe.sqrt((1 - cosine) * (1 + cosine))
     # The hand's new direction, then the pitch that takes the hand there.
     dx, dy = x * cosine - y * sine, y * cosine + x * sine
-    moved = loose & (wanted != span_squared) & (weight > 0)
+    moved = (wanted != span_squared) & (weight > 0)
     new_sin = (dy * hand[0] - dx * hand[1]) * weight
     new_cos = (dx * hand[0] + dy * hand[1]) * weight
-    return jnp.where(moved, new_sin, p_sin), jnp.where(moved, new_cos, p_cos)
+    return jnp.where(moved, new_sin, p_sin), jnp.where(moved, new_cos, p_cos), moved

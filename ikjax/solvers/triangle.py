@@ -28,13 +28,17 @@ def ring(upper: Scalar, fore: Scalar) -> tuple[Scalar, Scalar]:
     return abs(abs(upper) - abs(fore)), abs(upper) + abs(fore)
 
 
-def triangle(x: Scalar, y: Scalar, upper: Scalar, fore: Scalar, left: Scalar, setting: Setting) -> Triangle:
+def triangle(
+    x: Scalar, y: Scalar, upper: Scalar, fore: Scalar, left: Scalar, setting: Setting, noise: float = 0.0
+) -> Triangle:
     """Angles s and e with upper (cos s, sin s) + fore (cos(s + e), sin(s + e)) = (x, y).
 
     Args:
         x, y: The wrist, seen from the shoulder in the arm's plane.
         upper, fore: Link lengths of any sign, not zero.
         left: +1 puts the elbow left of the line from shoulder to wrist, -1 right of it.
+        noise: As in `cosine_sine`: what rounding may have taken from the wrist's distance to either
+            circle. It is put back where a later step may fail.
         setting: Fills s with joint 2 where it is arbitrary: equal links folded onto the shoulder.
 
     Returns:
@@ -46,13 +50,15 @@ def triangle(x: Scalar, y: Scalar, upper: Scalar, fore: Scalar, left: Scalar, se
     span = safe.sqrt(span_squared)
     less, more = upper - fore, upper + fore
     scale = 1 / (2 * upper * fore)
+    turned = safe.sign(scale)  # links of unlike signs are straight where others are folded
+    inner, outer = abs(less), abs(more)
     # 1 + cos and 1 - cos, each without cancellation; the smaller one is exact to rounding.
-    folded = jnp.clip((span - less) * (span + less) * scale, 0, 2)
-    straight = jnp.clip((more - span) * (more + span) * scale, 0, 2)
+    folded = jnp.clip(_given_back(span - inner, turned * noise) * (span + inner) * scale, 0, 2)
+    straight = jnp.clip(_given_back(outer - span, turned * noise) * (outer + span) * scale, 0, 2)
     near = folded < straight
     small = jnp.where(near, folded, straight)
     cosine = hold(jnp.where(near, folded - 1, 1 - straight))
-    sine = hold(-left * safe.sign(upper * fore) * safe.sqrt(small * (2 - small)))
+    sine = hold(-left * turned * safe.sqrt(small * (2 - small)))
     u, v = jnp.where(near, less + fore * folded, more - fore * straight), fore * sine
     weight = safe.reciprocal_sqrt(span_squared * (u * u + v * v))
     low, high = ring(upper, fore)
@@ -66,3 +72,10 @@ def triangle(x: Scalar, y: Scalar, upper: Scalar, fore: Scalar, left: Scalar, se
         jnp.minimum(high - span, span - low),
         free,
     )
+
+
+def _given_back(gap: Scalar, noise: Scalar) -> Scalar:
+    """A distance near zero, larger by what rounding may have taken from it."""
+    if isinstance(noise, float) and noise == 0:
+        return gap
+    return jnp.where(abs(gap) < 64 * abs(noise), gap + noise, gap)
