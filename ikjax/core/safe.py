@@ -6,7 +6,6 @@ tracing, stays one: as an array it would carry its own type into a kernel of ano
 
 import math
 
-import jax
 import jax.numpy as jnp
 
 from ikjax.core.trig import Scalar

@@ -1,25 +1,34 @@
 """`solve` for an eager call: in blocks that fit the cache, every field of every slot.
 
-Storey: ik. XLA on a CPU computes in scalars, not in vectors, whatever is written with a stride. So
-- an inner loop leaves one array a component, and only then are those packed into (N, S, n);
-- the arm's zeros and ones are known while tracing (`Arm.split`), its other numbers are not.
+Storey: ik. There is one program, whatever the number of goals, so that the bits of an answer depend on its
+goal alone and a new number of goals compiles no kernel. Blocks run on as many threads as there are
+cores, because one of them is too small for XLA to share out.
+
+The arm's zeros and ones are known while tracing (`Arm.split`), its other numbers are not.
 """
 
 import dataclasses
 import functools
+import os
+from collections import deque
+from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.experimental.layout import Layout, with_layout_constraint
 
 from ikjax.arm.arm import Arm
 from ikjax.ik.graph import FIELDS, slots_of
 from ikjax.ik.solutions import Solutions
 
-BLOCK, BLOCKS = 2048, 2
-"""Goals in a block, and blocks that are packed at once."""
+BLOCK, BLOCKS = 4096, 4
+"""Goals in a block, and blocks in a piece."""
 
-CHUNK = BLOCK * BLOCKS
+PIECE = BLOCK * BLOCKS
+
+AHEAD = 4
+"""Pieces that may be under way while the first of them is put in its place."""
 
 
 def wide_vectors() -> dict[str, str]:
@@ -30,55 +39,94 @@ def wide_vectors() -> dict[str, str]:
 def solve_blocks(arm: Arm, goals: jax.Array, q_now, tolerance: float | None) -> Solutions:
     """`Solutions` of (N, 4, 4) goals; the bits of a row do not depend on N or on its place."""
     count = goals.shape[0]
-    if count < CHUNK:
-        pad = CHUNK - count
-        unit = jnp.broadcast_to(jnp.eye(4, dtype=goals.dtype), (pad, 4, 4))
-        goals = jnp.concatenate([goals, unit])
-        if q_now is not None:
-            q_now = jnp.concatenate([q_now, jnp.zeros((pad, arm.n), q_now.dtype)])
     # Neither the name nor the limits enter the solutions, so they need not part compiles.
     plain = dataclasses.replace(arm, name="", limits=np.zeros((arm.n, 2), arm.dtype))
     known, rest = plain.split()
-    solved = _compiled()(known, tolerance, rest, goals, q_now)
-    return solved if count >= CHUNK else jax.tree.map(lambda x: x[:count], solved)
+    rest = [jnp.asarray(leaf) for leaf in rest]
+    inputs = _padded(goals, q_now)
+    leaves, form = jax.tree.flatten((rest, _cut(inputs, 0, PIECE)))
+    kernel = _compiled(known, tolerance, form, tuple((x.shape, x.dtype.name) for x in leaves))
+    if count <= PIECE:
+        return jax.tree.map(lambda x: x[:count], kernel(rest, *inputs, np.int32(-(-count // BLOCK))))
+    # The last piece overlaps the one before: its goals get the same bits twice.
+    starts = [*range(0, count - PIECE, PIECE), count - PIECE]
+    whole: Solutions | None = None
+    waiting: deque = deque()
+    for start in [*starts, *[None] * AHEAD]:
+        if start is not None:
+            piece = _pool().submit(_finished, kernel, rest, *_cut(inputs, start, PIECE), np.int32(BLOCKS))
+            waiting.append((start, piece))
+        if waiting and (start is None or len(waiting) > AHEAD):
+            place, piece = waiting.popleft()
+            whole = _placed(_empty(piece.result(), count) if whole is None else whole, piece.result(), place)
+    assert whole is not None
+    return whole
+
+
+def _padded(goals, q_now):
+    """At least one piece of goals."""
+    pad = PIECE - goals.shape[0]
+    if pad <= 0:
+        return goals, q_now
+    unit = jnp.broadcast_to(jnp.eye(4, dtype=goals.dtype), (pad, 4, 4))
+    goals = jnp.concatenate([goals, unit])
+    if q_now is not None:
+        q_now = jnp.concatenate([q_now, jnp.zeros((pad, q_now.shape[-1]), q_now.dtype)])
+    return goals, q_now
 
 
 @functools.cache
-def _compiled():
-    return jax.jit(_in_chunks, static_argnums=(0, 1), compiler_options=wide_vectors())
+def _pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="ikjax")
 
 
-def _in_chunks(known, tolerance, rest, goals, q_now) -> Solutions:
+def _finished(kernel, *arguments) -> Solutions:
+    return jax.block_until_ready(kernel(*arguments))
+
+
+@functools.partial(jax.jit, static_argnums=2)
+def _cut(inputs, start, size: int):
+    return jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, start, size), inputs)
+
+
+def _empty(piece: Solutions, count: int) -> Solutions:
+    return jax.tree.map(lambda x: jnp.zeros((count, *x.shape[1:]), x.dtype), piece)
+
+
+@functools.partial(jax.jit, donate_argnums=0)
+def _placed(whole: Solutions, piece: Solutions, start) -> Solutions:
+    return jax.tree.map(lambda w, p: jax.lax.dynamic_update_slice_in_dim(w, p, start, 0), whole, piece)
+
+
+@functools.lru_cache(maxsize=256)
+def _compiled(known, tolerance, form, shapes):
+    """The program of one piece. Compiled here, because threads do not see the caller's settings."""
+    rest, (goals, q_now) = jax.tree.unflatten(form, [jax.ShapeDtypeStruct(*s) for s in shapes])
+    jitted = jax.jit(_piece, static_argnums=(0, 1), compiler_options=wide_vectors())
+    return jitted.lower(known, tolerance, rest, goals, q_now, jax.ShapeDtypeStruct((), np.int32)).compile()
+
+
+def _piece(known, tolerance, rest, goals, q_now, blocks) -> Solutions:
+    """The first `blocks` blocks of a piece; the rest is left zero."""
     arm = Arm.join(known, rest)
-    count = goals.shape[0]
 
-    def components(block):
-        goals, q_now = block
-        slots = slots_of(arm, goals, q_now, tolerance)
-        full = [(slot.q, tuple(getattr(slot, field) for field in FIELDS)) for slot in slots]
-        return jax.tree.map(lambda x: jnp.broadcast_to(x, goals.shape[:1]), full)
+    def block(i) -> Solutions:
+        return _block(arm, tolerance, *_cut((goals, q_now), i * BLOCK, BLOCK))
 
-    def packed(start) -> Solutions:
-        cut = jax.tree.map(
-            lambda x: jax.lax.dynamic_slice_in_dim(x, start, CHUNK).reshape(BLOCKS, BLOCK, *x.shape[1:]),
-            (goals, q_now),
-        )
-        slots = jax.lax.map(components, cut)
-        slots = jax.tree.map(lambda x: x.reshape(CHUNK), slots)
-        q = jnp.stack([x for q, _ in slots for x in q]).T
-        columns = zip(*(fields for _, fields in slots), strict=True)
-        rest = {name: jnp.stack(column).T for name, column in zip(FIELDS, columns, strict=True)}
-        return Solutions(q=q.reshape(CHUNK, len(slots), -1), **rest)
+    shapes = jax.eval_shape(lambda: block(0))
+    empty = jax.tree.map(lambda s: jnp.zeros((goals.shape[0], *s.shape[1:]), s.dtype), shapes)
+    return jax.lax.fori_loop(0, blocks, lambda i, whole: _placed(whole, block(i), i * BLOCK), empty)
 
-    def body(i, out):
-        # The last chunk overlaps the one before: its goals get the same bits twice.
-        start = jnp.minimum(i * CHUNK, count - CHUNK)
-        return jax.tree.map(
-            lambda whole, piece: jax.lax.dynamic_update_slice_in_dim(whole, piece, start, 0),
-            out,
-            packed(start),
-        )
 
-    shapes = jax.eval_shape(lambda: packed(0))
-    empty = jax.tree.map(lambda s: jnp.zeros((count, *s.shape[1:]), s.dtype), shapes)
-    return jax.lax.fori_loop(0, -(-count // CHUNK), body, empty)
+def _block(arm: Arm, tolerance, goals, q_now) -> Solutions:
+    # Read in place, sixteen numbers apart, all that looks at a goal would be computed in scalars.
+    columns = with_layout_constraint(goals.reshape(BLOCK, 16).T, Layout((0, 1)))
+    entries = tuple(tuple(columns[4 * i + j] for j in range(4)) for i in range(4))
+    slots = slots_of(arm, entries, q_now, tolerance, held=True)
+
+    def packed(values):
+        return jnp.stack([jnp.broadcast_to(x, (BLOCK,)) for x in values]).T
+
+    q = packed([x for slot in slots for x in slot.q]).reshape(BLOCK, len(slots), arm.n)
+    rest = {name: packed([getattr(slot, name) for slot in slots]) for name in FIELDS}
+    return Solutions(q=q, **rest)

@@ -1,44 +1,87 @@
 """`solve` as a plain elementwise graph, for use inside a jit.
 
 Storey: ik. What the caller does not use is never computed.
+
+XLA on a CPU computes a sum or a product again for every array that needs it. For a yes or a no that
+is the fastest way there is: one fused loop. For joints it is many times slower, and near a
+singularity, where an angle is made of rounding errors, two roundings of one angle do not belong
+together. So the kernel is written down twice: free for the masks, and with its shared values held
+for everything else. Whichever is not used is dropped; where both are, held thresholds are a little
+wider, so that joints close wherever their mask says they do.
 """
+
+import functools
 
 import jax
 import jax.numpy as jnp
 
 from ikjax.arm.arm import Arm
-from ikjax.core import pose as poses
+from ikjax.core.pose import Pose
 from ikjax.ik.solutions import Solutions
 from ikjax.solvers.family import Slot, clean, reach, solve_scalars
-
-
-def slots_of(arm: Arm, goals: jax.Array, q_now, tolerance) -> tuple[Slot, ...]:
-    """Measured slots of (..., 4, 4) goals, each field one array (...).
-
-    What several outputs share is divided by a one that XLA cannot see through. A division is dear
-    enough that XLA keeps its result, where it would compute a sum or a product again for every
-    array that leaves the jit: that is several times slower, and near a singularity, where an angle
-    is made of rounding errors, two roundings of one angle do not belong together.
-    """
-    goal, proper = clean(poses.from_matrix(goals), reach(arm))
-    bottom = [goals[..., 3, j] == float(j == 3) for j in range(4)]
-    proper &= bottom[0] & bottom[1] & bottom[2] & bottom[3]
-    now = None if q_now is None else tuple(q_now[..., i] for i in range(arm.n))
-    one = jnp.where(goal.position[0] == goal.position[0], 1, 2).astype(goals.dtype)
-    slots = solve_scalars(arm, goal, now, tolerance, hold=lambda x: x / one)
-    return tuple(slot._replace(valid=slot.valid & proper) for slot in slots)
-
 
 FIELDS = ("valid", "margin", "continuum", "position_error", "rotation_error")
 
 
+Entries = tuple[tuple[jax.Array, ...], ...]
+"""The sixteen numbers of a goal, four rows of four, each an array (...)."""
+
+
+def entries_of(goals: jax.Array) -> Entries:
+    """Of goals (..., 4, 4)."""
+    return tuple(tuple(goals[..., i, j] for j in range(4)) for i in range(4))
+
+
+def slots_of(arm: Arm, entries: Entries, q_now, tolerance, *, held: bool) -> tuple[Slot, ...]:
+    """Measured slots of goals, each field one array (...)."""
+    rotation, position = tuple(row[:3] for row in entries[:3]), tuple(row[3] for row in entries[:3])
+    goal, proper = clean(Pose(rotation, position), reach(arm))
+    for entry, wanted in zip(entries[3], (0, 0, 0, 1), strict=True):
+        proper &= entry == wanted
+    now = None if q_now is None else tuple(q_now[..., i] for i in range(arm.n))
+    slots = solve_scalars(arm, goal, now, tolerance, hold=holder(goal.position[0]) if held else None)
+    return tuple(slot._replace(valid=slot.valid & proper) for slot in slots)
+
+
+def holder(like: jax.Array):
+    """A function that divides by a one which XLA cannot see through.
+
+    A division is dear enough that XLA keeps its result instead of computing it again; an
+    optimization barrier is gone by the time it decides that.
+    """
+    one = jnp.where(like == like, 1, 2).astype(like.dtype)
+    return lambda x: x / one
+
+
 def solve_here(arm: Arm, goals: jax.Array, q_now, tolerance) -> Solutions:
     """`Solutions` as a plain elementwise graph."""
-    shape = goals.shape[:-2]
+    entries = entries_of(goals)
+    free = slots_of(arm, entries, q_now, tolerance, held=False)
+    held = slots_of(arm, entries, q_now, tolerance, held=True)
+    masks = {name: _mask([getattr(slot, name) for slot in free], goals) for name in ("valid", "continuum")}
+    return gathered(held, goals.shape[:-2], **masks)
+
+
+def gathered(slots: tuple[Slot, ...], shape: tuple[int, ...], **instead: jax.Array) -> Solutions:
+    """The slots as `Solutions` with batch axes `shape`; fields given in `instead` are not gathered."""
 
     def gather(values):
         return jnp.stack([jnp.broadcast_to(v, shape) for v in values], axis=-1)
 
-    slots = slots_of(arm, goals, q_now, tolerance)
     q = jnp.stack([gather(slot.q) for slot in slots], axis=-2)
-    return Solutions(q=q, **{f: gather([getattr(slot, f) for slot in slots]) for f in FIELDS})
+    rest = {name: gather([getattr(slot, name) for slot in slots]) for name in FIELDS if name not in instead}
+    return Solutions(q=q, **rest, **instead)
+
+
+def _mask(flags: list[jax.Array], goals: jax.Array) -> jax.Array:
+    """Flags (...) as one array (..., S), through one number a goal.
+
+    A stack of eight fused kernels would be computed by eight branches, in scalars; a number that all
+    entries need is computed once, in one loop. XLA on a CPU keeps such a loop whole up to some 2,000
+    instructions; beyond, it computes shared values again and again (a test counts them).
+    """
+    dtype = goals.dtype.type
+    code = functools.reduce(jnp.add, [jnp.where(f, dtype(2**k), dtype(0)) for k, f in enumerate(flags)])
+    code = holder(goals[..., 0, 3])(jnp.broadcast_to(code, goals.shape[:-2]))
+    places = jnp.arange(len(flags), dtype=jnp.int32).reshape((1,) * (goals.ndim - 2) + (-1,))
+    return (code.astype(jnp.int32)[..., None] >> places & 1) == 1

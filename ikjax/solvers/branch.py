@@ -20,6 +20,8 @@ class Setting(NamedTuple):
     """DH angles that fill what is arbitrary."""
     tiny: float
     """Lengths (in units of the reach) and sines below this are zero."""
+    slip: float
+    """What is `tiny` may become this, where a step leaves a freedom to the next."""
     noise: float
     """What rounding may have taken from a length."""
     hold: Callable[[Scalar], Scalar]

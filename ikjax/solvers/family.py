@@ -123,7 +123,7 @@ def solve_scalars(
     goal: Pose,
     now: tuple[Scalar, ...] | None = None,
     tolerance: float | None = None,
-    hold: Callable[[Scalar], Scalar] = lambda x: x,
+    hold: Callable[[Scalar], Scalar] | None = None,
 ) -> tuple[Slot, ...]:
     """Every slot for one goal, in scalars (or for many goals, one array a scalar).
 
@@ -146,11 +146,12 @@ def solve_scalars(
 
     scaled = Pose(goal.rotation, vector.scale(frame.per_reach, goal.position))
     tip = poses.compose(poses.compose(frame.from_world, scaled), frame.from_tool)
+    slip = tiny if hold is None else 1.25 * tiny
+    hold = hold or (lambda x: x)
     tip = jax.tree.map(hold, tip)
     allowed = tolerance * (1 + vector.norm(scaled.position))
-
+    setting = Setting(fill, tiny, slip, tiny / 8, hold)
     slots = []
-    setting = Setting(fill, tiny, tiny / 8, hold)
     family = FAMILIES[str(arm.family)]
     for branch in family.branches(arm.signs, frame.links, tip, setting):
         gap_squared, turn_squared = map(hold, _mismatch(frame, family, branch))

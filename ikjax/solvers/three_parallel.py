@@ -26,10 +26,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ikjax.arm.forward import Link
+from ikjax.arm.forward import Joint, Link, unwind
 from ikjax.core import safe, vector
 from ikjax.core.pose import Pose
-from ikjax.core.roots import cosine_sine
 from ikjax.core.trig import Angle, Scalar, SinCos, angle
 from ikjax.solvers.branch import Branch, Setting, bits
 from ikjax.solvers.shoulder import shoulder
@@ -46,7 +45,7 @@ def branches(
     up, s1, c2, c3, s4, s5 = signs
     one, two, three, four, five = links[:5]
     c23 = c2 * c3
-    x, y, z = goal.position
+    x, y, _ = goal.position
     lateral = s1 * (two.d + c2 * three.d + c23 * four.d)
     facing = safe.sign(one.a)
     hand = (four.a, -c23 * s4 * five.d)  # from axis 4 to where 5 and 6 meet, at pitch 0
@@ -57,7 +56,7 @@ def branches(
         side, _, wrist = bits(first)
         base = shoulder(x, y, lateral, side * facing, setting)
         t5_side = wrist * facing * (up * s1 * c23 * s4)
-        seen = setting.unwind(goal, links, (base.turn,))
+        seen = unwind(goal, one, Joint(base.turn.sin, base.turn.cos, one.d))
         links_up = Links(two.a, three.a, hand, one.a)
         pitch = _pitch(seen, links_up, s5 * t5_side, pitch_now, setting)
         t1 = _turned_on(base.turn, s1, pitch.on, setting)
@@ -133,27 +132,29 @@ def _pitch(seen: Pose, links: Links, side: Scalar, now: Angle, setting: Setting)
         now: The pitch where it is arbitrary.
         setting: What counts as zero.
     """
-    tiny = setting.tiny
+    tiny, hold = setting.tiny, setting.hold
     n = tuple(row[2] for row in seen.rotation)
     x, y, z = seen.position
-    ahead = x + links.first
     rho_squared = n[0] * n[0] + n[1] * n[1]
     free = rho_squared <= tiny * tiny
     weight = side * safe.reciprocal_sqrt(rho_squared)
     p_sin = jnp.where(free, now.sin, n[1] * weight)
     p_cos = jnp.where(free, now.cos, n[0] * weight)
-    loose = rho_squared <= 4 * tiny
-    on_sin, on_cos = 0.0, 1.0
-    # Twice, because turning joint 1 on moves the wrist a little, too.
-    for _ in range(2):
-        there = ahead * on_cos - z * on_sin - links.first
-        new_sin, new_cos, moved = _closing(there, y, links, p_sin, p_cos)
-        root = cosine_sine(n[0] * new_sin, -n[2] * new_sin, n[1] * new_cos, safe.sign(-n[2] * new_sin))
-        slip = jnp.abs(ahead * root.sin) + jnp.abs(z) * (1 - root.cos)
-        able = moved & ~root.free & (slip <= tiny) & (root.margin >= -tiny) & (side * n[1] * new_sin >= 0)
-        on_sin, on_cos = jnp.where(able, root.sin, 0), jnp.where(able, root.cos, 1)
+    loose = rho_squared <= 4 * setting.slip
+    new_sin, new_cos, moved = _closing(x, y, links, p_sin, p_cos)
+    new_sin, new_cos = hold(new_sin), hold(new_cos)
+    # Turned on about y1, axis 6 has (level, n[1]) in the plane: along the new pitch.
+    level = safe.divide(n[1] * new_cos, new_sin)
+    size_squared = n[0] * n[0] + n[2] * n[2]
+    beside = safe.sign(n[2]) * safe.sqrt(size_squared - level * level)
+    root_sin = safe.divide(n[0] * beside - n[2] * level, size_squared)
+    root_cos = safe.divide(n[0] * level + n[2] * beside, size_squared)
+    slip = jnp.abs((x + links.first) * root_sin) + jnp.abs(z) * (1 - root_cos)
+    able = moved & (level * level <= size_squared) & (slip <= setting.slip) & (side * n[1] * new_sin >= 0)
+    on_sin, on_cos = hold(jnp.where(able, root_sin, 0)), hold(jnp.where(able, root_cos, 1))
     moved &= loose | able
-    return Pitch(jnp.where(moved, new_sin, p_sin), jnp.where(moved, new_cos, p_cos), (on_sin, on_cos), free)
+    p_sin, p_cos = jnp.where(moved, new_sin, p_sin), jnp.where(moved, new_cos, p_cos)
+    return Pitch(hold(p_sin), hold(p_cos), (on_sin, on_cos), free)
 
 
 def _turned_on(t1: Angle, s1: int, on: SinCos, setting: Setting) -> Angle:

@@ -5,6 +5,7 @@ four counts of 32 goals travel as bit fields of one 32-bit sum, because a loop w
 fused and a loop with four is computed four times.
 """
 
+import functools
 import math
 import sys
 import time
@@ -18,7 +19,7 @@ from ikjax.arm.arm import Arm
 from ikjax.core.pose import Pose
 from ikjax.ik.blocks import wide_vectors
 from ikjax.ik.solve import check_family
-from ikjax.solvers.family import TOLERANCE, solve_scalars
+from ikjax.solvers.family import TOLERANCE, Slot, solve_scalars
 from ikjax.study.goals import Grid, even_rotations
 from ikjax.study.limits import within
 from ikjax.study.reach import ReachMap
@@ -128,19 +129,22 @@ def _compile_unit(arm: Arm, positions: Grid, rotations: np.ndarray, dtype) -> Ca
     table = jnp.asarray(filled.reshape(tiles, width, 9))
     real = jnp.asarray((np.arange(tiles * width) < count).reshape(tiles, 1, width))
 
-    def tile(place, rotation_and_real):
-        rotation, real = rotation_and_real
-        r = [rotation[:, k].reshape(1, width) for k in range(9)]
-        goal = Pose((tuple(r[0:3]), tuple(r[3:6]), tuple(r[6:9])), place)
-        return _statistics(arm, goal, real)
-
-    def block(number):
+    def block(statistic, number):
         place = _positions(positions, number, dtype)
-        counts, margin = jax.lax.map(lambda t: tile(place, t), (table, real))
-        return counts.sum(0), margin.max(0)
+
+        def tile(rotation_and_real):
+            rotation, real = rotation_and_real
+            r = [rotation[:, k].reshape(1, width) for k in range(9)]
+            goal = Pose((tuple(r[0:3]), tuple(r[3:6]), tuple(r[6:9])), place)
+            return statistic(arm, solve_scalars(arm, goal), real)
+
+        return jax.lax.map(tile, (table, real))
 
     def unit(first):
-        return jax.lax.map(block, first + jnp.arange(TILES, dtype=jnp.int32))
+        numbers = first + jnp.arange(TILES, dtype=jnp.int32)
+        # Two loops, because in one XLA would keep every square root that both results need.
+        counts = jax.lax.map(lambda n: block(_counts, n).sum(0), numbers)
+        return counts, jax.lax.map(lambda n: block(_best_margin, n).max(0), numbers)
 
     options = wide_vectors()
     return jax.jit(unit, compiler_options=options).lower(np.int32(0)).compile()
@@ -158,24 +162,24 @@ def _positions(positions: Grid, number, dtype):
     )
 
 
-def _statistics(arm: Arm, goal: Pose, real) -> tuple[jax.Array, jax.Array]:
-    """Counts (positions, 4) and best margin (positions,) of one tile."""
-    slots = solve_scalars(arm, goal)
-    some = inside_some = jnp.asarray(False)
-    number = inside_number = jnp.asarray(0, jnp.int32)
-    margin = jnp.asarray(-jnp.inf, goal.position[0].dtype)
-    for slot in slots:
-        valid = slot.valid & real
-        inside = valid & within(arm, slot)
-        some, inside_some = some | valid, inside_some | inside
-        number = number + valid.astype(jnp.int32)
-        inside_number = inside_number + inside.astype(jnp.int32)
-        margin = jnp.maximum(margin, jnp.where(real, slot.margin, -jnp.inf))
-    fields = (some.astype(jnp.int32), number, inside_some.astype(jnp.int32), inside_number)
+def _counts(arm: Arm, slots: tuple[Slot, ...], real) -> jax.Array:
+    """Counts (positions, 4) of one tile."""
+    valid = [slot.valid & real for slot in slots]
+    inside = [v & within(arm, slot) for v, slot in zip(valid, slots, strict=True)]
+    fields = []
+    for flags in (valid, inside):
+        number = functools.reduce(jnp.add, [flag.astype(jnp.int32) for flag in flags])
+        fields += [(number > 0).astype(jnp.int32), number]
     code = fields[0] + (fields[1] << 6) + (fields[2] << 15) + (fields[3] << 21)
     groups = code.reshape(code.shape[0], -1, GROUP).sum(-1, dtype=jnp.int32)
-    parts = [groups & 63, groups >> 6 & 511, groups >> 15 & 63, groups >> 21 & 511]
-    return jnp.stack([part.sum(-1) for part in parts], axis=-1), margin.max(-1)
+    counts = [groups & 63, groups >> 6 & 511, groups >> 15 & 63, groups >> 21 & 511]
+    return jnp.stack([count.sum(-1) for count in counts], axis=-1)
+
+
+def _best_margin(arm: Arm, slots: tuple[Slot, ...], real) -> jax.Array:
+    """Greatest margin (positions,) of one tile."""
+    margin = functools.reduce(jnp.maximum, [slot.margin for slot in slots])
+    return jnp.where(real, margin, -jnp.inf).max(-1)
 
 
 def _with_progress(starts: range, goals: int, show: bool):

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import ikjax
-from ikjax.ik.graph import solve_here
+from ikjax.ik.graph import entries_of, gathered, slots_of
 
 DEG = np.pi / 180
 
@@ -224,7 +224,9 @@ def solve_by_hand(arm: ikjax.Arm, goals, q_now=None, dtype=np.float64) -> ikjax.
     """The graph of `solve`, one operation at a time: nothing is compiled, so it is cheap for many arms."""
     goals = jnp.asarray(np.asarray(goals), dtype)
     now = np.zeros((*goals.shape[:-2], 6)) if q_now is None else q_now
-    sol = solve_here(typed(arm, dtype), goals, jnp.asarray(np.asarray(now), dtype), None)
+    now = jnp.asarray(np.asarray(now), dtype)
+    slots = slots_of(typed(arm, dtype), entries_of(goals), now, None, held=True)
+    sol = gathered(slots, goals.shape[:-2])
     return ikjax.Solutions(**{k: np.asarray(v) for k, v in vars(sol).items()})
 
 

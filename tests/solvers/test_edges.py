@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from ikjax.ik.graph import solve_here
+from ikjax.ik.graph import entries_of, gathered, slots_of, solve_here
 
 TYPES = (np.float64, np.float32)
 LADDER = np.array([0.0, *(s * 10.0**-k for k in range(1, 17) for s in (1, -1))])
@@ -103,6 +103,21 @@ def _assert_answered(arm, q, dtype):
 def test_every_singular_goal_has_an_answer(name, kind, dtype):
     arm = arms.build(name)
     _assert_answered(arm, singular(arm, kind), dtype)
+
+
+@pytest.mark.parametrize("dtype", TYPES)
+@pytest.mark.parametrize("name", ["ur5", "elbow_manipulator", "parallel_every_offset"])
+def test_a_mask_of_its_own_program_holds_for_the_joints_beside_it(name, dtype):
+    """Inside a jit masks and joints come from two programs: see `ik.graph`."""
+    arm = arms.build(name)
+    q = np.concatenate([singular(arm, kind)[::3] for kind in KINDS])
+    goals = arms.numpy_fk(arm, q).astype(dtype)
+    entries = entries_of(jnp.asarray(goals))
+    free, held = (slots_of(arms.typed(arm, dtype), entries, None, None, held=h) for h in (False, True))
+    valid = np.stack([np.asarray(slot.valid) for slot in free], axis=-1)
+    assert valid.any(-1).all()
+    sol = gathered(held, goals.shape[:1], valid=valid)
+    assert not arms.wrong(arm, sol, goals, dtype).any()
 
 
 def right_angles(arm) -> np.ndarray:
