@@ -58,7 +58,7 @@ def kernel(batch: Batch, dtype: str, runs: int) -> Measured:
     def every_slot(numbers, one):
         def block(n):
             goal = Pose((n[0:3], n[4:7], n[8:11]), (n[3], n[7], n[11]))
-            # What many outputs share is divided by a one, so that XLA stores it; see ikjax.ik.blocks.
+            # What many outputs share is divided by a one, so that XLA stores it; see ikjax.ik.graph.
             slots = solve_scalars(arm, goal, hold=lambda x: x / one)
             return jax.tree.map(lambda x: jnp.broadcast_to(x, BLOCK), [(s.q, s.valid) for s in slots])
 

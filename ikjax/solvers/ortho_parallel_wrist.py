@@ -25,10 +25,11 @@ import jax.numpy as jnp
 from ikjax.arm.forward import Link
 from ikjax.core import safe, vector
 from ikjax.core.pose import Pose
+from ikjax.core.trig import Angle
 from ikjax.solvers.branch import Branch, Setting, bits
 from ikjax.solvers.shoulder import shoulder
-from ikjax.solvers.triangle import triangle
-from ikjax.solvers.wrist import general_wrist, square_wrist
+from ikjax.solvers.triangle import Triangle, leaned, triangle
+from ikjax.solvers.wrist import general_wrist, shortfall, square_wrist
 
 
 def branches(
@@ -51,6 +52,7 @@ def branches(
     fore = safe.norm(fore_x, fore_y)
     # Joints 2 and 3 settle whether a wrist of other twists reaches at all.
     noise = 0.0 if square else setting.noise
+    twists = (four.sin_alpha, four.cos_alpha, five.sin_alpha, five.cos_alpha)
     facing, pointing = safe.sign(one.a), s4 * safe.sign(four.d)
     slots: dict[int, Branch] = {}
     for slot in range(4):
@@ -58,23 +60,29 @@ def branches(
         base = shoulder(x, y, lateral, side * facing, setting)
         left = up * s1 * side * facing * height
         arm = triangle(base.ahead - one.a, s1 * (z - one.d), upper, fore, left, setting, noise)
-        # Joint 3 is the elbow angle less the bend that the forearm's own offset makes.
-        t3_sin = (arm.elbow_sin * fore_x - arm.elbow_cos * fore_y) / fore
-        t3_cos = (arm.elbow_cos * fore_x + arm.elbow_sin * fore_y) / fore
-        joints = (
-            base.turn,
-            setting.angle(arm.shoulder_sin, arm.shoulder_cos),
-            setting.angle(c2 * t3_sin, t3_cos),
-        )
+        if not square:
+            joints = _first_joints(base.turn, arm, (fore_x, fore_y), c2, setting)
+            n = vector.transpose(setting.unwind(goal, links, joints).rotation)[2]
+            # Leaning by one radian tilts axis 4 so much towards axis 6.
+            tilt = c2 * three.sin_alpha * n[0]
+            arm = leaned(arm, upper, fore, safe.divide(shortfall(n, twists), tilt), setting)
+        joints = _first_joints(base.turn, arm, (fore_x, fore_y), c2, setting)
         seen = setting.unwind(goal, links, joints)
         across, _, along = vector.transpose(seen.rotation)
         if square:
             pair = square_wrist(along, across, (s4, s5), pointing, setting)
         else:
-            twists = (four.sin_alpha, four.cos_alpha, five.sin_alpha, five.cos_alpha)
             pair = general_wrist(along, across, twists, pointing, setting)
         for flip, hand in enumerate(pair):
             margin = jnp.minimum(jnp.minimum(base.margin, arm.margin), hand.margin)
             continuum = base.continuum | arm.continuum | hand.continuum
             slots[slot + 4 * flip] = Branch(joints + hand.joints, seen, margin, continuum)
     return tuple(slots[slot] for slot in range(8))
+
+
+def _first_joints(turn: Angle, arm: Triangle, fore, c2: int, setting: Setting) -> tuple[Angle, Angle, Angle]:
+    """Joints 1, 2, 3: the third is the elbow angle less the bend that the forearm's own offset makes."""
+    length = safe.norm(*fore)
+    sine = (arm.elbow_sin * fore[0] - arm.elbow_cos * fore[1]) / length
+    cosine = (arm.elbow_cos * fore[0] + arm.elbow_sin * fore[1]) / length
+    return turn, setting.angle(arm.shoulder_sin, arm.shoulder_cos), setting.angle(c2 * sine, cosine)

@@ -144,13 +144,22 @@ def _pitch(seen: Pose, links: Links, side: Scalar, now: Angle, setting: Setting)
     new_sin, new_cos, moved = _closing(x, y, links, p_sin, p_cos)
     new_sin, new_cos = hold(new_sin), hold(new_cos)
     # Turned on about y1, axis 6 has (level, n[1]) in the plane: along the new pitch.
-    level = safe.divide(n[1] * new_cos, new_sin)
     size_squared = n[0] * n[0] + n[2] * n[2]
+    steep, tilted = jnp.abs(new_sin) > tiny, size_squared > tiny
+    level = n[1] * new_cos / jnp.where(steep, new_sin, 1)
     beside = safe.sign(n[2]) * safe.sqrt(size_squared - level * level)
-    root_sin = safe.divide(n[0] * beside - n[2] * level, size_squared)
-    root_cos = safe.divide(n[0] * level + n[2] * beside, size_squared)
+    weight = 1 / jnp.where(tilted, size_squared, 1)
+    root_sin = (n[0] * beside - n[2] * level) * weight
+    root_cos = (n[0] * level + n[2] * beside) * weight
     slip = jnp.abs((x + links.first) * root_sin) + jnp.abs(z) * (1 - root_cos)
-    able = moved & (level * level <= size_squared) & (slip <= setting.slip) & (side * n[1] * new_sin >= 0)
+    able = (
+        moved
+        & steep
+        & tilted
+        & (level * level <= size_squared)
+        & (slip <= setting.slip)
+        & (side * n[1] * new_sin >= 0)
+    )
     on_sin, on_cos = hold(jnp.where(able, root_sin, 0)), hold(jnp.where(able, root_cos, 1))
     moved &= loose | able
     p_sin, p_cos = jnp.where(moved, new_sin, p_sin), jnp.where(moved, new_cos, p_cos)

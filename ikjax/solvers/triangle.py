@@ -79,3 +79,31 @@ def _given_back(gap: Scalar, noise: Scalar) -> Scalar:
     if isinstance(noise, float) and noise == 0:
         return gap
     return jnp.where(abs(gap) < 64 * abs(noise), gap + noise, gap)
+
+
+def leaned(arm: Triangle, upper: Scalar, fore: Scalar, lean: Scalar, setting: Setting) -> Triangle:
+    """The triangle with the forearm leaned by a small angle, where the wrist stays to within rounding.
+
+    Near straight or folded the elbow's angle is open to rounding, and a later step may need just that.
+
+    Args:
+        lean: Wanted change of s + e [rad].
+    """
+    span_squared = upper * upper + fore * fore + 2 * upper * fore * arm.elbow_cos
+    bend = safe.divide(lean * span_squared, upper * (upper + fore * arm.elbow_cos))
+    first, second = jnp.abs(arm.elbow_sin * bend), jnp.abs(arm.elbow_cos) * bend * bend / 2
+    slip = abs(upper * fore) * (first + second) * safe.reciprocal_sqrt(span_squared)
+    able = (slip <= setting.slip) & (jnp.abs(lean) + jnp.abs(bend) <= _SMALL)
+    lean, bend = jnp.where(able, lean, 0), jnp.where(able, bend, 0)
+    shoulder_sin, shoulder_cos = _on(arm.shoulder_sin, arm.shoulder_cos, lean - bend)
+    elbow_sin, elbow_cos = _on(arm.elbow_sin, arm.elbow_cos, bend)
+    return Triangle(shoulder_sin, shoulder_cos, elbow_sin, elbow_cos, arm.margin, arm.continuum)
+
+
+_SMALL = 5e-3
+"""An angle [rad] whose cube does not count beside the rounding that lets it be chosen."""
+
+
+def _on(sine: Scalar, cosine: Scalar, by: Scalar) -> tuple[Scalar, Scalar]:
+    less = by * by / 2
+    return sine + cosine * by - sine * less, cosine - sine * by - cosine * less

@@ -100,6 +100,13 @@ def general_wrist(
     return answers[0], answers[1]
 
 
+def shortfall(n: Vector, twists: tuple[Scalar, Scalar, Scalar, Scalar]) -> Scalar:
+    """How much n must rise along axis 4 for a wrist of these twists to reach it; zero where it does."""
+    s4, c4, s5, c5 = twists
+    along = c4 * c5 - n[2]
+    return along - jnp.clip(along, -abs(s4 * s5), abs(s4 * s5))
+
+
 def _turned(about_z: Angle, v: Vector) -> Vector:
     return (
         about_z.cos * v[0] - about_z.sin * v[1],
