@@ -146,9 +146,10 @@ def _pitch(seen: Pose, links: Links, side: Scalar, now: Angle, setting: Setting)
     # Turned on about y1, axis 6 has (level, n[1]) in the plane: along the new pitch.
     size_squared = n[0] * n[0] + n[2] * n[2]
     steep, tilted = jnp.abs(new_sin) > tiny, size_squared > tiny
-    level = n[1] * new_cos / jnp.where(steep, new_sin, 1)
+    # A quotient that several need is one that XLA holds: each goes through a mask.
+    level = jnp.where(steep, n[1] * new_cos / jnp.where(steep, new_sin, 1), 0)
     beside = safe.sign(n[2]) * safe.sqrt(size_squared - level * level)
-    weight = 1 / jnp.where(tilted, size_squared, 1)
+    weight = jnp.where(tilted, 1 / jnp.where(tilted, size_squared, 1), 0)
     root_sin = (n[0] * beside - n[2] * level) * weight
     root_cos = (n[0] * level + n[2] * beside) * weight
     slip = jnp.abs((x + links.first) * root_sin) + jnp.abs(z) * (1 - root_cos)
@@ -203,19 +204,18 @@ def _closing(
     Axis 4 lies at (x, y) less the hand turned by the pitch; its distance from the shoulder is
     brought into the ring by the law of cosines, on the side where the hand already is.
     """
+    # The point to reach, turned so that the hand at pitch 0 lies along x.
     hand = links.hand
+    u, v = x * hand[0] + y * hand[1], y * hand[0] - x * hand[1]
     reach_squared, hand_squared = x * x + y * y, hand[0] * hand[0] + hand[1] * hand[1]
-    hx, hy = p_cos * hand[0] - p_sin * hand[1], p_sin * hand[0] + p_cos * hand[1]
-    span_squared = (x - hx) ** 2 + (y - hy) ** 2
+    total = reach_squared + hand_squared
+    span_squared = total - 2 * (u * p_cos + v * p_sin)
     low, high = ring(links.upper, links.fore)
     wanted = jnp.clip(span_squared, low * low, high * high)
-    size_squared = reach_squared * hand_squared
-    weight = safe.reciprocal_sqrt(size_squared)
-    cosine = jnp.clip((reach_squared + hand_squared - wanted) * (weight / 2), -1, 1)
-    sine = safe.sign(x * hy - y * hx) * safe.sqrt((1 - cosine) * (1 + cosine))
-    # The hand's new direction, then the pitch that takes the hand there.
-    dx, dy = x * cosine - y * sine, y * cosine + x * sine
+    weight = safe.reciprocal_sqrt(reach_squared * hand_squared)
+    cosine = jnp.clip((total - wanted) * (weight / 2), -1, 1)
+    sine = jnp.where(u * p_sin < v * p_cos, -weight, weight) * safe.sqrt((1 - cosine) * (1 + cosine))
+    cosine = cosine * weight
     moved = (wanted != span_squared) & (weight > 0)
-    new_sin = (dy * hand[0] - dx * hand[1]) * weight
-    new_cos = (dx * hand[0] + dy * hand[1]) * weight
+    new_sin, new_cos = v * cosine + u * sine, u * cosine - v * sine
     return jnp.where(moved, new_sin, p_sin), jnp.where(moved, new_cos, p_cos), moved
