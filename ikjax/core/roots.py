@@ -3,6 +3,7 @@
 Storey: core.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -24,7 +25,14 @@ class CosineSine(NamedTuple):
     """a = b = 0: no angle is told apart, and `sin`, `cos` are zero."""
 
 
-def cosine_sine(a: Scalar, b: Scalar, c: Scalar, side: Scalar, noise: float = 0.0) -> CosineSine:
+def cosine_sine(
+    a: Scalar,
+    b: Scalar,
+    c: Scalar,
+    side: Scalar,
+    noise: float = 0.0,
+    root: Callable[[Scalar], Scalar] = safe.sqrt,
+) -> CosineSine:
     """Solve a cos(t) + b sin(t) = c by its sine and cosine, with nothing infinite at t = pi.
 
     Args:
@@ -32,6 +40,7 @@ def cosine_sine(a: Scalar, b: Scalar, c: Scalar, side: Scalar, noise: float = 0.
         side: +1 or -1: the sign of b cos(t) - a sin(t), which tells the two roots apart.
         noise: What rounding may have taken from hypot(a, b). It is put back near a double root, so
             that the true one lies between the two that are returned.
+        root: The square root to take: what rounding makes uncertain near zero.
 
     Returns:
         The root, clamped to the nearest angle where there is none.
@@ -44,7 +53,7 @@ def cosine_sine(a: Scalar, b: Scalar, c: Scalar, side: Scalar, noise: float = 0.
     if noise:
         taken = 2 * noise * abs(c)
         gap = jnp.where(gap < 64 * taken, gap + taken, gap)
-    height = side * safe.sqrt(gap)
+    height = side * root(gap)
     # The length of (c, height) is hypot(a, b), except where the root is clamped.
     weight = safe.reciprocal_sqrt(size_squared * (height * height + c * c))
     return CosineSine(

@@ -19,7 +19,7 @@ import numpy as np
 from jax.experimental.layout import Layout, with_layout_constraint
 
 from ikjax.arm.arm import Arm
-from ikjax.ik.graph import FIELDS, slots_of
+from ikjax.ik.graph import FIELDS, holder, slots_of
 from ikjax.ik.solutions import Solutions
 
 BLOCK, BLOCKS = 4096, 4
@@ -122,7 +122,7 @@ def _block(arm: Arm, tolerance, goals, q_now) -> Solutions:
     # Read in place, sixteen numbers apart, all that looks at a goal would be computed in scalars.
     columns = with_layout_constraint(goals.reshape(BLOCK, 16).T, Layout((0, 1)))
     entries = tuple(tuple(columns[4 * i + j] for j in range(4)) for i in range(4))
-    slots = slots_of(arm, entries, q_now, tolerance, held=True)
+    slots = slots_of(arm, entries, q_now, tolerance, hold=holder(entries[0][3]))
 
     def packed(values):
         return jnp.stack([jnp.broadcast_to(x, (BLOCK,)) for x in values]).T

@@ -6,13 +6,10 @@ XLA on a CPU computes a sum or a product again for every array that needs it. Fo
 is the fastest way there is: one fused loop. For joints it is many times slower, and near a
 singularity, where an angle is made of rounding errors, two roundings of one angle do not belong
 together. So the kernel is written down twice: free for the masks, and with its shared values held
-for everything else. Whichever is not used is dropped; where both are, held thresholds are a little
-wider, so that joints close where their mask says they do. Not quite everywhere: within rounding of a
-fold the two round differently, and joints beside a mask were seen to miss by twice the tolerance.
-`position_error` and `rotation_error` are those of the joints.
+for everything else. Whichever is not used is dropped. A square root near zero makes half the digits
+noise, and noise of two roundings would not fit together: such roots are computed once for both, from
+a third writing down of which nothing else is kept.
 """
-
-import functools
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +17,7 @@ import jax.numpy as jnp
 from ikjax.arm.arm import Arm
 from ikjax.core.pose import Pose
 from ikjax.ik.solutions import Solutions
+from ikjax.solvers.branch import in_bits
 from ikjax.solvers.family import Slot, clean, reach, solve_scalars
 
 FIELDS = ("valid", "margin", "continuum", "position_error", "rotation_error")
@@ -34,14 +32,14 @@ def entries_of(goals: jax.Array) -> Entries:
     return tuple(tuple(goals[..., i, j] for j in range(4)) for i in range(4))
 
 
-def slots_of(arm: Arm, entries: Entries, q_now, tolerance, *, held: bool) -> tuple[Slot, ...]:
+def slots_of(arm: Arm, entries: Entries, q_now, tolerance, *, hold=None, share=None) -> tuple[Slot, ...]:
     """Measured slots of goals, each field one array (...)."""
     rotation, position = tuple(row[:3] for row in entries[:3]), tuple(row[3] for row in entries[:3])
     goal, proper = clean(Pose(rotation, position), reach(arm))
     for entry, wanted in zip(entries[3], (0, 0, 0, 1), strict=True):
         proper &= entry == wanted
     now = None if q_now is None else tuple(q_now[..., i] for i in range(arm.n))
-    slots = solve_scalars(arm, goal, now, tolerance, hold=holder(goal.position[0]) if held else None)
+    slots = solve_scalars(arm, goal, now, tolerance, hold, share)
     return tuple(slot._replace(valid=slot.valid & proper) for slot in slots)
 
 
@@ -51,17 +49,37 @@ def holder(like: jax.Array):
     A division is dear enough that XLA keeps its result instead of computing it again; an
     optimization barrier is gone by the time it decides that.
     """
-    one = jnp.where(like == like, 1, 2).astype(like.dtype)
+    one = opaque_one(like)
     return lambda x: x / one
+
+
+def opaque_one(like: jax.Array) -> jax.Array:
+    """Ones of the shape and type of `like`, which XLA cannot see through."""
+    return jnp.where(like == like, 1, 2).astype(like.dtype)
 
 
 def solve_here(arm: Arm, goals: jax.Array, q_now, tolerance) -> Solutions:
     """`Solutions` as a plain elementwise graph."""
-    entries = entries_of(goals)
-    free = slots_of(arm, entries, q_now, tolerance, held=False)
-    held = slots_of(arm, entries, q_now, tolerance, held=True)
+    entries, hold = entries_of(goals), holder(goals[..., 0, 3])
+    roots: list[jax.Array] = []
+
+    def record(root):
+        roots.append(hold(root))
+        return roots[-1]
+
+    # XLA would otherwise see what the roots and the masks have in common, and store all of it.
+    one = opaque_one(goals[..., 0, 3])
+    apart = tuple(tuple(x * one for x in row) for row in entries)
+    slots_of(arm, apart, q_now, tolerance, share=record)
+    free = slots_of(arm, entries, q_now, tolerance, share=_replayed(roots))
+    held = slots_of(arm, entries, q_now, tolerance, share=_replayed(roots), hold=hold)
     masks = {name: _mask([getattr(slot, name) for slot in free], goals) for name in ("valid", "continuum")}
     return gathered(held, goals.shape[:-2], **masks)
+
+
+def _replayed(roots: list[jax.Array]):
+    following = iter(roots)
+    return lambda _: next(following)
 
 
 def gathered(slots: tuple[Slot, ...], shape: tuple[int, ...], **instead: jax.Array) -> Solutions:
@@ -82,8 +100,6 @@ def _mask(flags: list[jax.Array], goals: jax.Array) -> jax.Array:
     entries need is computed once, in one loop. XLA on a CPU keeps such a loop whole up to some 2,000
     instructions; beyond, it computes shared values again and again (a test counts them).
     """
-    dtype = goals.dtype.type
-    code = functools.reduce(jnp.add, [jnp.where(f, dtype(2**k), dtype(0)) for k, f in enumerate(flags)])
-    code = holder(goals[..., 0, 3])(jnp.broadcast_to(code, goals.shape[:-2]))
+    code = holder(goals[..., 0, 3])(jnp.broadcast_to(in_bits(flags, goals.dtype), goals.shape[:-2]))
     places = jnp.arange(len(flags), dtype=jnp.int32).reshape((1,) * (goals.ndim - 2) + (-1,))
     return (code.astype(jnp.int32)[..., None] >> places & 1) == 1

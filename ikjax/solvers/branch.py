@@ -3,12 +3,16 @@
 Storey: solvers.
 """
 
-from collections.abc import Callable
+import functools
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
+import numpy as np
 
 from ikjax.arm.forward import Joint, Link, unwind
+from ikjax.core import safe
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Angle, Scalar, angle
 
@@ -20,12 +24,16 @@ class Setting(NamedTuple):
     """DH angles that fill what is arbitrary."""
     tiny: float
     """Lengths (in units of the reach) and sines below this are zero."""
-    slip: float
-    """What is `tiny` may become this, where a step leaves a freedom to the next."""
     noise: float
     """What rounding may have taken from a length."""
     hold: Callable[[Scalar], Scalar]
     """Called on what many outputs share; see `ik.graph`."""
+    share: Callable[[Scalar], Scalar] | None
+    """Called on what two programs of one kernel must agree on; see `ik.graph`."""
+
+    def root(self, x: Scalar) -> Scalar:
+        """A square root, shared because rounding makes it uncertain near zero."""
+        return safe.sqrt(x) if self.share is None else self.share(safe.sqrt(x))
 
     def angle(self, sine: Scalar, cosine: Scalar) -> Angle:
         """The angle of a sine and a cosine, held."""
@@ -49,6 +57,12 @@ class Branch(NamedTuple):
     """Clearance from the fold, in units of the reach."""
     continuum: jax.Array
     """The slot stands for a one-parameter family of answers."""
+
+
+def in_bits(masks: Sequence[jax.Array], dtype) -> jax.Array:
+    """Masks as bits of one number, the first lowest."""
+    one = np.dtype(dtype).type
+    return functools.reduce(jnp.add, [jnp.where(m, one(2**k), one(0)) for k, m in enumerate(masks)])
 
 
 def bits(slot: int, count: int = 3) -> tuple[int, ...]:

@@ -124,6 +124,7 @@ def solve_scalars(
     now: tuple[Scalar, ...] | None = None,
     tolerance: float | None = None,
     hold: Callable[[Scalar], Scalar] | None = None,
+    share: Callable[[Scalar], Scalar] | None = None,
 ) -> tuple[Slot, ...]:
     """Every slot for one goal, in scalars (or for many goals, one array a scalar).
 
@@ -133,6 +134,7 @@ def solve_scalars(
         now: Joint values that arbitrary joints follow; zero by default.
         tolerance: Overrides `TOLERANCE` for the goal's type.
         hold: Called on what many outputs share; see `ik.graph`.
+        share: Called on what two programs must agree on; see `ik.graph`.
 
     Returns:
         One `Slot` for each branch of the family, in slot order.
@@ -146,11 +148,10 @@ def solve_scalars(
 
     scaled = Pose(goal.rotation, vector.scale(frame.per_reach, goal.position))
     tip = poses.compose(poses.compose(frame.from_world, scaled), frame.from_tool)
-    slip = tiny if hold is None else 1.25 * tiny
     hold = hold or (lambda x: x)
     tip = jax.tree.map(hold, tip)
     allowed = tolerance * (1 + vector.norm(scaled.position))
-    setting = Setting(fill, tiny, slip, tiny / 8, hold)
+    setting = Setting(fill, tiny, tiny / 8, hold, share)
     slots = []
     family = FAMILIES[str(arm.family)]
     for branch in family.branches(arm.signs, frame.links, tip, setting):

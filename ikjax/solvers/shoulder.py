@@ -36,7 +36,7 @@ def shoulder(x: Scalar, y: Scalar, lateral: Scalar, side: Scalar, setting: Setti
         is the wrist's distance from the cylinder that it cannot enter; without a lateral offset
         there is none, the step cannot fail, and the margin is infinite.
     """
-    root = cosine_sine(-y, x, lateral, side, noise=setting.noise)
+    root = cosine_sine(-y, x, lateral, side, noise=setting.noise, root=setting.root)
     free = (x * x + y * y <= setting.tiny**2) & (abs(lateral) <= setting.tiny)
     lost, now = free | root.free, setting.now[0]
     turn = setting.angle(jnp.where(lost, now.sin, root.sin), jnp.where(lost, now.cos, root.cos))

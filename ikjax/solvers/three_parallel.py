@@ -140,7 +140,7 @@ def _pitch(seen: Pose, links: Links, side: Scalar, now: Angle, setting: Setting)
     weight = side * safe.reciprocal_sqrt(rho_squared)
     p_sin = jnp.where(free, now.sin, n[1] * weight)
     p_cos = jnp.where(free, now.cos, n[0] * weight)
-    loose = rho_squared <= 4 * setting.slip
+    loose = rho_squared <= 4 * setting.tiny
     new_sin, new_cos, moved = _closing(x, y, links, p_sin, p_cos)
     new_sin, new_cos = hold(new_sin), hold(new_cos)
     # Turned on about y1, axis 6 has (level, n[1]) in the plane: along the new pitch.
@@ -158,7 +158,7 @@ def _pitch(seen: Pose, links: Links, side: Scalar, now: Angle, setting: Setting)
         & steep
         & tilted
         & (level * level <= size_squared)
-        & (slip <= setting.slip)
+        & (slip <= setting.tiny)
         & (side * n[1] * new_sin >= 0)
     )
     on_sin, on_cos = hold(jnp.where(able, root_sin, 0)), hold(jnp.where(able, root_cos, 1))

@@ -58,7 +58,8 @@ def triangle(
     near = folded < straight
     small = jnp.where(near, folded, straight)
     cosine = hold(jnp.where(near, folded - 1, 1 - straight))
-    sine = hold(-left * turned * safe.sqrt(small * (2 - small)))
+    root = safe.sqrt if isinstance(noise, float) and noise == 0 else setting.root
+    sine = hold(-left * turned * root(small * (2 - small)))
     u, v = jnp.where(near, less + fore * folded, more - fore * straight), fore * sine
     weight = safe.reciprocal_sqrt(span_squared * (u * u + v * v))
     low, high = ring(upper, fore)
@@ -93,7 +94,7 @@ def leaned(arm: Triangle, upper: Scalar, fore: Scalar, lean: Scalar, setting: Se
     bend = safe.divide(lean * span_squared, upper * (upper + fore * arm.elbow_cos))
     first, second = jnp.abs(arm.elbow_sin * bend), jnp.abs(arm.elbow_cos) * bend * bend / 2
     slip = abs(upper * fore) * (first + second) * safe.reciprocal_sqrt(span_squared)
-    able = (slip <= setting.slip) & (jnp.abs(lean) + jnp.abs(bend) <= _SMALL)
+    able = (slip <= setting.tiny) & (jnp.abs(lean) + jnp.abs(bend) <= _SMALL)
     lean, bend = jnp.where(able, lean, 0), jnp.where(able, bend, 0)
     shoulder_sin, shoulder_cos = _on(arm.shoulder_sin, arm.shoulder_cos, lean - bend)
     elbow_sin, elbow_cos = _on(arm.elbow_sin, arm.elbow_cos, bend)

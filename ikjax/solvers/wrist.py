@@ -77,9 +77,10 @@ def general_wrist(
     along = c4 * c5 - n[2]
     cosine = jnp.clip(along / (s4 * s5), -1, 1)
     margin = abs(s4 * s5) - jnp.abs(along)
+    height = side * setting.root((1 - cosine) * (1 + cosine))
     answers = []
     for flip in (1, -1):
-        sine = flip * side * safe.sqrt((1 - cosine) * (1 + cosine))
+        sine = flip * height
         u, v = s5 * sine, -(c4 * s5 * cosine + s4 * c5)
         rho_squared = (n[0] * n[0] + n[1] * n[1]) * (u * u + v * v)
         free = rho_squared <= tiny**4

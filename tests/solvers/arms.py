@@ -225,7 +225,7 @@ def solve_by_hand(arm: ikjax.Arm, goals, q_now=None, dtype=np.float64) -> ikjax.
     goals = jnp.asarray(np.asarray(goals), dtype)
     now = np.zeros((*goals.shape[:-2], 6)) if q_now is None else q_now
     now = jnp.asarray(np.asarray(now), dtype)
-    slots = slots_of(typed(arm, dtype), entries_of(goals), now, None, held=True)
+    slots = slots_of(typed(arm, dtype), entries_of(goals), now, None)
     sol = gathered(slots, goals.shape[:-2])
     return ikjax.Solutions(**{k: np.asarray(v) for k, v in vars(sol).items()})
 
