@@ -17,8 +17,9 @@ def sqrt(x: Scalar) -> Scalar:
         return math.sqrt(max(x, 0.0))
     inside = x > 0
     # Two masks on purpose: the inner one keeps the unused side finite, because
-    # reverse mode multiplies its slope by zero, and 0 * inf is NaN.
-    return jnp.where(inside, jnp.sqrt(jnp.where(inside, x, 1)), 0)
+    # reverse mode multiplies its slope by zero, and 0 * inf is NaN. It is filled with next to nothing,
+    # because a compiler may compute an x of rounding errors twice, once above and once below zero.
+    return jnp.where(inside, jnp.sqrt(jnp.where(inside, x, jnp.finfo(x.dtype).tiny)), 0)
 
 
 def reciprocal_sqrt(x: Scalar) -> Scalar:

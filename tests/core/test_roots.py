@@ -85,3 +85,126 @@ def test_the_root_moves_as_the_equation_says(rng):
     wanted = np.array([-root.cos, -root.sin, 1]) / root.height * root.cos
     np.testing.assert_allclose(slopes, wanted, rtol=1e-12)
     np.testing.assert_allclose(clearance, [0.8 / np.hypot(0.8, 0.5), -0.5 / np.hypot(0.8, 0.5), -1])
+
+
+def _harmonics_of(roots: np.ndarray) -> np.ndarray:
+    """Coefficients (n, 5), of size one, of the polynomials whose roots (n, 4) are given."""
+    z = np.exp(1j * roots)
+    c = np.ones((len(roots), 1), complex)
+    for k in range(4):
+        c = np.pad(c, ((0, 0), (0, 1))) - np.pad(c, ((0, 0), (1, 0))) * z[:, k : k + 1]
+    c *= np.exp(-0.5j * roots.sum(-1, keepdims=True))
+    columns = [2 * c[:, 0].real, -2 * c[:, 0].imag, c[:, 1].real, -c[:, 1].imag, c[:, 2].real]
+    polynomials = np.stack(columns, -1)
+    return polynomials / np.abs(polynomials).sum(-1, keepdims=True)
+
+
+quartic = jax.jit(roots.circle_quartic)
+
+
+def _found(polynomials: np.ndarray, dtype):
+    """Angles (n, 4) in slot order, and whether each is a root."""
+    found = quartic(tuple(jnp.asarray(column, dtype) for column in polynomials.T))
+    every = (*found.rising, *found.falling)
+    angles = [np.arctan2(np.asarray(r.sin, float), np.asarray(r.cos, float)) for r in every]
+    return np.stack(angles, -1), np.stack([np.asarray(r.real) for r in every], -1)
+
+
+def _apart(a, b):
+    return np.abs(np.angle(np.exp(1j * (a - b))))
+
+
+def _four(kind: str, rng) -> np.ndarray:
+    t = rng.uniform(-np.pi, np.pi, (2000, 4))
+    if kind == "one at pi":
+        t[:, 0] = np.pi
+    elif kind == "two close":
+        t[:, 3] = t[:, 2] + 1e-3
+    elif kind == "three close":
+        t[:, 2], t[:, 3] = t[:, 1] + 0.1, t[:, 1] - 0.1
+    elif kind == "symmetric":
+        t[:, 2:] = -t[:, :2]
+    elif kind == "symmetric about a right angle":
+        t[:, 2:] = np.pi - t[:, :2]
+    return t
+
+
+BOTH = np.array([1, -1])
+NOTHING = [(0, 0, 0, 0, 0), (0, 0, 0, 0, 1), (0, 0, 1, 0, -2), (1, 0, 0, 0, 1)]
+
+
+class TestCircleQuartic:
+    @pytest.mark.parametrize(
+        "kind", ["any", "one at pi", "two close", "three close", "symmetric", "symmetric about a right angle"]
+    )
+    def test_four_real_roots_are_found(self, kind, dtype):
+        wanted = _four(kind, np.random.default_rng(3))
+        polynomials = _harmonics_of(wanted)
+        angles, real = _found(polynomials, dtype)
+        off = _apart(angles[:, :, None], wanted[:, None, :]).min(1).max(-1)
+        if dtype == np.float64:
+            assert real.all()
+            assert off.max() < 1e-5
+            assert np.quantile(off, 0.9) < 1e-9
+        else:
+            # A pair 1e-3 apart is a double root to what float32 knows of the coefficients.
+            assert np.quantile(off, 0.9) < 2e-2
+
+    def test_the_number_of_roots_is_that_of_the_eigenvalues_on_the_circle(self):
+        rng = np.random.default_rng(4)
+        polynomials = rng.normal(size=(2000, 5))
+        polynomials /= np.abs(polynomials).sum(-1, keepdims=True)
+        angles, real = _found(polynomials, np.float64)
+        for (u, v, x, y, w), t, mine in zip(polynomials, angles, real, strict=True):
+            every = np.roots([(u - 1j * v) / 2, x - 1j * y, w, x + 1j * y, (u + 1j * v) / 2])
+            on_circle = np.angle(every[np.abs(np.abs(every) - 1) < 1e-7])
+            assert mine.sum() == len(on_circle)
+            for root in on_circle:
+                assert _apart(t[mine], root).min() < 1e-6
+
+    def test_two_rise_and_two_fall_in_the_order_of_their_angles(self, dtype):
+        polynomials = _harmonics_of(_four("any", np.random.default_rng(5)))
+        angles, _ = _found(polynomials, dtype)
+        u, v, x, y, _ = polynomials.T[:, :, None]
+        slope = v * np.cos(2 * angles) - u * np.sin(2 * angles) + y * np.cos(angles) - x * np.sin(angles)
+        clear = np.abs(slope) > 1e-3
+        assert (slope[:, :2][clear[:, :2]] > 0).all() and (slope[:, 2:][clear[:, 2:]] < 0).all()
+        assert (angles[:, 0] <= angles[:, 1]).all() and (angles[:, 2] <= angles[:, 3]).all()
+
+    def test_a_double_root_is_kept_as_two(self, dtype):
+        wanted = np.tile([[0.3, 0.3, 2.0, -1.5]], (1, 1))
+        angles, _ = _found(_harmonics_of(wanted), dtype)
+        near = _apart(angles[0], 0.3) < (1e-6 if dtype == np.float64 else 2e-3)
+        assert near.sum() == 2 and near[:2].sum() == 1
+
+    @pytest.mark.parametrize(
+        ("polynomial", "wanted"),
+        [
+            (
+                (0, 0, 0.3, 0.2, -0.3),
+                np.arctan2(0.2, 0.3) + np.arccos(0.15 / np.hypot(0.3, 0.2)) * np.array([1, -1]),
+            ),
+            ((0.3, 0, 0.2, 0, -0.1), np.arccos(np.roots([0.6, 0.4, -0.4]).max()) * BOTH),
+            ((0.3, 0, 0, 0, 0), np.array([1, 3, -1, -3]) * np.pi / 4),
+            ((0, 0, 0, 0.5, 0), [0, np.pi]),
+        ],
+        ids=["no second harmonic", "a cosine alone", "a second harmonic alone", "a sine alone"],
+    )
+    def test_what_is_missing_does_not_matter(self, polynomial, wanted, dtype):
+        angles, real = _found(np.array([polynomial], float), dtype)
+        values = [float(roots.harmonics_at(polynomial, np.sin(t), np.cos(t))[0]) for t in angles[0][real[0]]]
+        assert np.abs(values).max() < (1e-12 if dtype == np.float64 else 1e-6)
+        if len(wanted) > 1:
+            for t in wanted:
+                assert _apart(angles[0], t).min() < 1e-6
+
+    @pytest.mark.parametrize(
+        "polynomial", [(0, 0, 0, 0, 0), (0, 0, 0, 0, 1), (0, 0, 1, 0, -2), (1, 0, 0, 0, 1)]
+    )
+    def test_value_and_slope_are_finite_where_there_is_nothing_to_find(self, polynomial, dtype):
+        def total(p):
+            found = roots.circle_quartic(tuple(p))
+            return sum(r.sin + 2 * r.cos for r in (*found.rising, *found.falling))
+
+        p = jnp.asarray(polynomial, dtype)
+        assert np.isfinite(total(p)) and np.isfinite(jax.grad(total)(p)).all()
