@@ -47,12 +47,12 @@ class Arm:
     name: str = dataclasses.field(metadata={"static": True})
     family: str | None = dataclasses.field(metadata={"static": True})
     """The closed form that solves this arm, or None; a promise about the twists."""
-    signs: tuple[int, ...] = dataclasses.field(metadata={"static": True})
+    signs: tuple = dataclasses.field(metadata={"static": True})
     """What the family's kernel must know about the twists: signs of their sines and cosines."""
     branches: tuple[str, ...] = dataclasses.field(metadata={"static": True})
     """What each slot means, in slot order."""
     task: str = dataclasses.field(metadata={"static": True})
-    """What a goal controls: "pose"."""
+    """What a goal controls: "pose", "position", "planar_pose" or "planar_position"."""
 
     @staticmethod
     def from_dh(
@@ -97,7 +97,7 @@ class Arm:
         tool = dh.check_pose("tool", np.eye(4) if tool is None else tool)
         limits = dh.check_limits(limits, n)
         columns, base, up = dh.to_standard(convention, columns, base)
-        verdict = structure.recognise(kinds, columns, family, up)
+        verdict = structure.recognise(kinds, {**columns, "tool": tool}, family, up)
         dtype = jnp.result_type(float) if dtype is None else dtype
         leaves = {**columns, "base": base, "tool": tool, "limits": limits}
         return Arm(
@@ -107,7 +107,7 @@ class Arm:
             family=verdict.family,
             signs=verdict.signs,
             branches=verdict.branches,
-            task="pose",
+            task=verdict.task,
         )
 
     @property

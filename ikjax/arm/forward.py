@@ -59,7 +59,7 @@ def fixed_pose(matrix) -> Pose:
     return Pose(tuple(row[:3] for row in rows), tuple(row[3] for row in rows))
 
 
-def _sincos(angle: Scalar) -> tuple[Scalar, Scalar]:
+def known_sincos(angle: Scalar) -> tuple[Scalar, Scalar]:
     """Sine and cosine, as Python floats where the angle is known while tracing."""
     return (math.sin(angle), math.cos(angle)) if isinstance(angle, float) else sincos(angle)
 
@@ -125,7 +125,7 @@ def _chain(arm: Arm, q: jax.Array) -> list[Pose]:
     frames = [frame]
     for i, link in enumerate(links(arm)):
         turn, slide = (q[..., i], 0) if link.kind == "R" else (0, q[..., i])
-        joint = Joint(*_sincos(link.theta + turn), link.d + slide)
+        joint = Joint(*known_sincos(link.theta + turn), link.d + slide)
         frame = advance(frame, link, joint)
         frames.append(frame)
     return frames

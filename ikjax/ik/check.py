@@ -79,7 +79,7 @@ def explain(arm: Arm) -> str:
         return f"{arm.name} has no closed form here.\n{what_was_found(arm)}"
     rule = structure.RULES[arm.family]
     lines = [f"{arm.name} is solved by {arm.family}: {rule.summary}.", "Because:"]
-    numbers = {key: np.asarray(getattr(arm, key)) for key in ("a", "alpha", "d")}
+    numbers = {key: np.asarray(getattr(arm, key)) for key in ("a", "alpha", "d", "theta", "tool")}
     verdict = structure.recognise(arm.kinds, numbers, tolerance=structure.tolerance_of(arm.dtype))
     for check in verdict.evidence.get(arm.family, ()):
         mark = "yes" if check.holds else "NO"

@@ -73,7 +73,7 @@ def what_was_found(arm: Arm) -> str:
     """The arm's axes in words, and what keeps it out of every family."""
     if isinstance(arm.alpha, jax.core.Tracer):
         return "Families: " + ", ".join(structure.RULES)
-    numbers = {key: np.asarray(getattr(arm, key)) for key in ("a", "alpha", "d")}
+    numbers = {key: np.asarray(getattr(arm, key)) for key in ("a", "alpha", "d", "theta", "tool")}
     tolerance = structure.tolerance_of(arm.dtype)
     verdict = structure.recognise(arm.kinds, numbers, tolerance=tolerance)
     axes = structure.found(arm.kinds, numbers, tolerance)

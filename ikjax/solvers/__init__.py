@@ -1,9 +1,17 @@
-"""The families: one closed form a file, in the order of `arm.structure.RULES`."""
+"""The families: one closed form a file, in the order of `arm.rules.RULES`."""
 
 from collections.abc import Callable
 from typing import NamedTuple
 
-from ikjax.solvers import ortho_parallel_wrist, three_parallel
+from ikjax.solvers import (
+    ortho_parallel_wrist,
+    parallel_axes,
+    pieper,
+    planar,
+    position,
+    scara,
+    three_parallel,
+)
 from ikjax.solvers.branch import Branch
 
 
@@ -21,4 +29,12 @@ class Family(NamedTuple):
 FAMILIES = {
     "ortho_parallel_wrist": Family(ortho_parallel_wrist.branches, first=3, last=0),
     "three_parallel": Family(three_parallel.branches, first=1, last=2),
+    "pieper": Family(pieper.branches, first=3, last=0),
+    "pieper_reversed": Family(pieper.reversed_branches, first=0, last=3),
+    "parallel_axes": Family(parallel_axes.branches, first=0, last=0),
+    "scara": Family(scara.branches, first=0, last=0),
+    "turret": Family(scara.turret_branches, first=0, last=0),
+    "planar_pose": Family(planar.branches, first=0, last=0),
+    "planar_position": Family(planar.branches, first=0, last=0),
+    "position": Family(position.branches, first=0, last=0),
 }

@@ -5,23 +5,43 @@ Storey: solvers.
 
 import functools
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ikjax.arm.forward import Joint, Link, unwind
+from ikjax.arm.forward import Joint, Link, known_sincos, unwind
 from ikjax.core import safe
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Angle, Scalar, angle
+from ikjax.core.vector import Vector, plus
+
+
+class Slide(NamedTuple):
+    """Where a sliding joint stands, in units of the reach."""
+
+    value: Scalar
+
+
+Joints = tuple[Any, ...]
+"""An `Angle` for each turning joint, a `Slide` for each sliding one."""
+
+
+def placed(link: Link, joint: Angle | Slide) -> Joint:
+    """The link with its joint where it stands."""
+    if isinstance(joint, Slide):
+        return Joint(*known_sincos(link.theta), plus(link.d, joint.value))
+    return Joint(joint.sin, joint.cos, link.d)
 
 
 class Setting(NamedTuple):
     """What a family's kernel needs besides the arm and the goal."""
 
-    now: tuple[Angle, ...]
-    """DH angles that fill what is arbitrary."""
+    now: Joints
+    """What fills joints that are arbitrary."""
+    tool: Vector
+    """The tool point seen from the frame that ends in the last joint."""
     tiny: float
     """Lengths (in units of the reach) and sines below this are zero."""
     noise: float
@@ -35,22 +55,26 @@ class Setting(NamedTuple):
         """A square root, shared because rounding makes it uncertain near zero."""
         return safe.sqrt(x) if self.share is None else self.share(safe.sqrt(x))
 
+    def keep(self, x: Scalar) -> Scalar:
+        """What many outputs share and rounding makes uncertain."""
+        return self.hold(x) if self.share is None else self.share(x)
+
     def angle(self, sine: Scalar, cosine: Scalar) -> Angle:
         """The angle of a sine and a cosine, held."""
         return angle(self.hold(sine), self.hold(cosine))
 
-    def unwind(self, goal: Pose, links: tuple[Link, ...], joints: tuple[Angle, ...]) -> Pose:
+    def unwind(self, goal: Pose, links: tuple[Link, ...], joints: Joints) -> Pose:
         """The goal seen from the frame after the first links, held."""
         for link, joint in zip(links, joints, strict=False):
-            goal = unwind(goal, link, Joint(joint.sin, joint.cos, link.d))
+            goal = unwind(goal, link, placed(link, joint))
         return jax.tree.map(self.hold, goal)
 
 
 class Branch(NamedTuple):
     """Joint values of one slot, before they are measured."""
 
-    joints: tuple[Angle, ...]
-    """The DH angle of each joint."""
+    joints: Joints
+    """The DH angle of each turning joint, how far each sliding one has slid."""
     seen: Pose
     """The goal seen from the frame after the first joints, as many as `Family.first` says."""
     margin: Scalar

@@ -19,13 +19,16 @@ from ikjax.core import safe, vector
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Angle, Scalar, atan2, canonical, sincos, wrap
 from ikjax.solvers import FAMILIES, Family
-from ikjax.solvers.branch import Branch, Setting
+from ikjax.solvers.branch import Branch, Joints, Setting, Slide, placed
 
 TOLERANCE = {"float32": 2e-5, "float64": 1e-9}
 """A slot is valid when its pose is this close, [rad] and as a share of (reach + |p|)."""
 
 ROTATION_TOLERANCE = 1e-5
 """|R^T R - I| beyond this is no rotation: the goal is masked."""
+
+TURNING = ("pose", "planar_pose")
+"""Tasks that ask for an orientation."""
 
 FAR = 1e6
 """Goals further than so many reaches are answered as if they stood there."""
@@ -34,8 +37,8 @@ FAR = 1e6
 class Slot(NamedTuple):
     """One measured answer, in scalars; the fields are those of `Solutions`."""
 
-    joints: tuple[Angle, ...]
-    """The DH angles: what the measure was taken of."""
+    joints: Joints
+    """What the measure was taken of."""
     q: tuple[Scalar, ...]
     valid: jax.Array
     margin: Scalar
@@ -144,25 +147,27 @@ def solve_scalars(
     frame = prepare(arm)
     tiny = 64 * float(np.finfo(dtype).eps)
     now = (0.0,) * arm.n if now is None else now
-    fill = tuple(_angle_now(link, value, dtype) for link, value in zip(frame.links, now, strict=True))
+    fill = tuple(_now(link, value, frame, dtype) for link, value in zip(frame.links, now, strict=True))
 
     scaled = Pose(goal.rotation, vector.scale(frame.per_reach, goal.position))
-    tip = poses.compose(poses.compose(frame.from_world, scaled), frame.from_tool)
+    tip = _asked(arm.task, frame, scaled)
     hold = hold or (lambda x: x)
     tip = jax.tree.map(hold, tip)
     allowed = tolerance * (1 + vector.norm(scaled.position))
-    setting = Setting(fill, tiny, tiny / 8, hold, share)
+    setting = Setting(fill, frame.tool, tiny, tiny / 8, hold, share)
+    turning = arm.task in TURNING
     slots = []
     family = FAMILIES[str(arm.family)]
     for branch in family.branches(arm.signs, frame.links, tip, setting):
         gap_squared, turn_squared = map(hold, _mismatch(frame, family, branch))
+        turn_squared = turn_squared if turning else jnp.zeros_like(gap_squared)
         # |R - S| = sqrt(8) sin(angle / 2), in the Frobenius norm.
         valid = (gap_squared <= allowed * allowed) & (turn_squared <= 2 * tolerance**2)
         half = safe.sqrt(jnp.minimum(turn_squared / 8, 1))
         slots.append(
             Slot(
                 branch.joints,
-                _joint_values(frame.links, branch),
+                _joint_values(frame, branch),
                 valid,
                 frame.reach * jnp.minimum(branch.margin, 1),
                 branch.continuum,
@@ -173,7 +178,22 @@ def solve_scalars(
     return tuple(slots)
 
 
-def _angle_now(link: Link, value: Scalar, dtype) -> Angle:
+def _asked(task: str, frame: Frame, goal: Pose) -> Pose:
+    """What the task asks of the last frame, seen from frame 0.
+
+    Where the orientation is not asked for, it is the tool point itself, on a frame of zeros: so that
+    the tool point of any frame that is compared with it counts whole.
+    """
+    seen = poses.compose(frame.from_world, goal)
+    if task in TURNING:
+        return poses.compose(seen, frame.from_tool)
+    zero = jnp.zeros_like(seen.position[0])
+    return Pose(((zero,) * 3,) * 3, seen.position)
+
+
+def _now(link: Link, value: Scalar, frame: Frame, dtype) -> Angle | Slide:
+    if link.kind == "P":
+        return Slide(jnp.asarray(frame.per_reach * value, dtype))
     total = jnp.asarray(link.theta + value, dtype)
     return Angle(*sincos(total), total)
 
@@ -185,9 +205,7 @@ def _mismatch(frame: Frame, family: Family, branch: Branch) -> tuple[Scalar, Sca
     family says; the joints between are wound forward, and the two are compared where they meet.
     That is forward kinematics on the given arm, with as little of it per slot as the slots allow.
     """
-    joints = [
-        Joint(joint.sin, joint.cos, link.d) for link, joint in zip(frame.links, branch.joints, strict=True)
-    ]
+    joints = [placed(link, joint) for link, joint in zip(frame.links, branch.joints, strict=True)]
     chain = list(zip(frame.links, joints, strict=True))
     end = len(chain) - family.last
     goal, tool = branch.seen, frame.tool
@@ -208,9 +226,12 @@ def _carried(point: vector.Vector, link: Link, joint: Joint) -> vector.Vector:
     return vector.add(vector.rotate(step.rotation, point), step.position)
 
 
-def _joint_values(table: tuple[Link, ...], branch: Branch) -> tuple[Scalar, ...]:
+def _joint_values(frame: Frame, branch: Branch) -> tuple[Scalar, ...]:
     values = []
-    for link, joint in zip(table, branch.joints, strict=True):
+    for link, joint in zip(frame.links, branch.joints, strict=True):
+        if isinstance(joint, Slide):
+            values.append(frame.reach * joint.value)
+            continue
         turned = joint.value - link.theta
         turned = jnp.where(turned > np.pi, turned - 2 * np.pi, turned)
         turned = jnp.where(turned < -np.pi, turned + 2 * np.pi, turned)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from ikjax.core import safe
-from ikjax.core.trig import Scalar
+from ikjax.core.trig import Angle, Scalar
 from ikjax.solvers.branch import Setting
 
 
@@ -29,7 +29,14 @@ def ring(upper: Scalar, fore: Scalar) -> tuple[Scalar, Scalar]:
 
 
 def triangle(
-    x: Scalar, y: Scalar, upper: Scalar, fore: Scalar, left: Scalar, setting: Setting, noise: float = 0.0
+    x: Scalar,
+    y: Scalar,
+    upper: Scalar,
+    fore: Scalar,
+    left: Scalar,
+    setting: Setting,
+    noise: float = 0.0,
+    now: Angle | None = None,
 ) -> Triangle:
     """Angles s and e with upper (cos s, sin s) + fore (cos(s + e), sin(s + e)) = (x, y).
 
@@ -39,13 +46,14 @@ def triangle(
         left: +1 puts the elbow left of the line from shoulder to wrist, -1 right of it.
         noise: As in `cosine_sine`: what rounding may have taken from the wrist's distance to either
             circle. It is put back where a later step may fail.
-        setting: Fills s with joint 2 where it is arbitrary: equal links folded onto the shoulder.
+        setting: What counts as zero.
+        now: Fills s where it is arbitrary: equal links folded onto the shoulder. Joint 2 by default.
 
     Returns:
         Both angles as sines and cosines, clamped to the nearer end where the triangle cannot
         close, and the margin: how far the wrist is inside the ring, negative outside.
     """
-    now, tiny, hold = setting.now[1], setting.tiny, setting.hold
+    now, tiny, hold = setting.now[1] if now is None else now, setting.tiny, setting.hold
     span_squared = x * x + y * y
     span = safe.sqrt(span_squared)
     less, more = upper - fore, upper + fore

@@ -78,7 +78,7 @@ MISTAKES = [
     ({"tool": BASE.T}, r"tool must have bottom row \(0, 0, 0, 1\), got .*transposed\?"),
     ({"base": np.diag([1.0, 1, -1, 1])}, "base must hold a rotation"),
     ({"base": np.diag([1.0, 1, 1.001, 1])}, "base must hold a rotation, its R\\^T R - I has norm 0.002"),
-    ({"family": "scara"}, "family must be one of ortho_parallel_wrist, .*got 'scara'"),
+    ({"family": "snake"}, "family must be one of ortho_parallel_wrist, .*got 'snake'"),
     ({"family": "three_parallel"}, "the arm is not of family three_parallel: axis 3 parallel to axis 4"),
 ]
 

@@ -30,12 +30,12 @@ TABLES = {
 """The lengths of each add up to one metre."""
 
 
-def arm_of(family, **changes):
+def arm_of(family, asked=None, **changes):
     """The family's table with some entries changed, each given as a5=..., counted from 1."""
     table = {key: np.array(column) for key, column in TABLES[family].items()}
     for entry, value in changes.items():
         table[entry[:-1]][int(entry[-1]) - 1] = value
-    return Arm.from_dh(**table, convention="standard")
+    return Arm.from_dh(**table, convention="standard", family=asked)
 
 
 def refusal(arm):
@@ -121,13 +121,21 @@ NEAR_MISSES = {
 
 @pytest.mark.parametrize(("family", "change", "fact", "threshold"), NEAR_MISSES.values(), ids=NEAR_MISSES)
 def test_a_near_miss_is_refused_with_the_quantity_and_the_threshold(family, change, fact, threshold):
-    arm = arm_of(family, **change)
+    assert arm_of(family, **change).family != family
+    with pytest.raises(ValueError, match=f"the arm is not of family {family}: ") as error:
+        arm_of(family, asked=family, **change)
+    reason = str(error.value)
+    assert re.search(fact, reason), reason
+    assert threshold in reason, reason
+
+
+def test_an_arm_of_no_family_is_told_what_keeps_it_out_of_each():
+    arm = arm_of("ortho_parallel_wrist", a5=1e-3, alpha2=0.3)
     assert arm.family is None and arm.branches == ()
     text = refusal(arm)
     assert "arm has no closed form here" in text
-    reason = re.search(rf"{family}: .*\n *Not this arm: (.*)\.(\n|$)", text).group(1)
-    assert re.search(fact, reason), reason
-    assert threshold in reason, reason
+    for family in ("ortho_parallel_wrist", "pieper", "parallel_axes"):
+        assert re.search(rf"{family}: .*\n *Not this arm: .*\d", text), family
 
 
 @pytest.mark.parametrize("change", [{"a5": 1e-11}, {"alpha1": np.pi / 2 + 1e-11}, {"d5": -1e-11}])
@@ -141,7 +149,7 @@ def test_the_unit_of_length_does_not_matter(family, scale):
     table = {**TABLES[family], **{key: np.multiply(TABLES[family][key], scale) for key in ("a", "d")}}
     assert Arm.from_dh(**table, convention="standard").family == family
     table["a"][4] = 1e-9 * scale
-    assert Arm.from_dh(**table, convention="standard").family is None
+    assert Arm.from_dh(**table, convention="standard").family != family
 
 
 @pytest.mark.parametrize("n", [1, 4, 5, 7])
@@ -151,7 +159,7 @@ def test_an_arm_of_another_number_of_joints_is_told_what_is_supported(n):
     assert f"odd has no closed form here. Found: joints {'R' * n}" in text
     for family in structure.RULES:
         assert f"{family}: " in text
-    assert text.count("it wants joints RRRRRR") == 2
+    assert text.count("it wants joints RRRRRR.") == 3
 
 
 def test_a_sliding_joint_keeps_an_arm_out_of_the_turning_families():

@@ -152,14 +152,15 @@ def numpy_fk(arm: ikjax.Arm, q: np.ndarray, frames: bool = False):
     T = np.broadcast_to(p["base"], (*q.shape[:-1], 4, 4))
     every = [T]
     for i in range(q.shape[-1]):
-        t = p["theta"][i] + q[..., i]
+        turns = arm.kinds[i] == "R"
+        t = p["theta"][i] + (q[..., i] if turns else 0 * q[..., i])
         s, c, z, o = np.sin(t), np.cos(t), np.zeros_like(t), np.ones_like(t)
         sa, ca = np.sin(p["alpha"][i]), np.cos(p["alpha"][i])
         link = np.stack(
             [
                 np.stack([c, -s * ca, s * sa, p["a"][i] * c], -1),
                 np.stack([s, c * ca, -c * sa, p["a"][i] * s], -1),
-                np.stack([z, z + sa, z + ca, z + p["d"][i]], -1),
+                np.stack([z, z + sa, z + ca, p["d"][i] + (z if turns else q[..., i])], -1),
                 np.stack([z, z, z, o], -1),
             ],
             -2,
@@ -170,11 +171,13 @@ def numpy_fk(arm: ikjax.Arm, q: np.ndarray, frames: bool = False):
 
 
 def numpy_jacobian(arm: ikjax.Arm, q: np.ndarray) -> np.ndarray:
-    """(..., 6, n), linear rows in units of the reach."""
+    """(..., 6, n), linear rows and slides in units of the reach."""
     every = numpy_fk(arm, q, frames=True)
     tip = numpy_fk(arm, q)[..., None, :3, 3]
     axis, origin = every[..., :-1, :3, 2], every[..., :-1, :3, 3]
-    columns = np.concatenate([np.cross(axis, tip - origin) / reach(arm), axis], -1)
+    turning = np.concatenate([np.cross(axis, tip - origin) / reach(arm), axis], -1)
+    sliding = np.concatenate([axis, 0 * axis], -1)
+    columns = np.where([[kind == "R"] for kind in arm.kinds], turning, sliding)
     return np.swapaxes(columns, -1, -2)
 
 
@@ -223,7 +226,7 @@ def typed(arm: ikjax.Arm, dtype) -> ikjax.Arm:
 def solve_by_hand(arm: ikjax.Arm, goals, q_now=None, dtype=np.float64) -> ikjax.Solutions:
     """The graph of `solve`, one operation at a time: nothing is compiled, so it is cheap for many arms."""
     goals = jnp.asarray(np.asarray(goals), dtype)
-    now = np.zeros((*goals.shape[:-2], 6)) if q_now is None else q_now
+    now = np.zeros((*goals.shape[:-2], arm.n)) if q_now is None else q_now
     now = jnp.asarray(np.asarray(now), dtype)
     slots = slots_of(typed(arm, dtype), entries_of(goals), now, None)
     sol = gathered(slots, goals.shape[:-2])
