@@ -11,7 +11,7 @@ sweep: $(VENV)/run.stamp            ## sweep a PUMA 560's workspace: a map, a pi
 test: lint suite                    ## linter, types, fast tests with the README's examples
 
 suite: $(VENV)/dev.stamp
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --dist worksteal
 
 lint: $(VENV)/dev.stamp
 	$(BIN)/ruff check .

@@ -6,12 +6,15 @@ modified DH after Craig, Introduction to Robotics, 3rd ed., section 3.4.
 """
 
 import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ikjax.arm import dh, structure, table
+from ikjax.arm.axes import Axes, Rewritten, rewritten
+from ikjax.arm.rules import RULES
 from ikjax.core.trig import Scalar
 
 Number = jax.Array | np.ndarray
@@ -41,6 +44,11 @@ class Arm:
     """(4, 4) T_flange_tool: the tool in the frame of the last link."""
     limits: Number
     """(n, 2) lower and upper joint limit [rad, m]; infinite where there is none."""
+    coupling: Number | None = dataclasses.field(default=None, kw_only=True)
+    """(n, n) from motor values, which are what `q` holds, to joint values; None is the identity."""
+    correction: Number | None = dataclasses.field(default=None, kw_only=True)
+    """(n + 1, 6) what the arm as given is off by after the base and after each link: shift [m], rotation
+    vector [rad]. The table holds the arm as recognised; None is nothing."""
 
     kinds: str = dataclasses.field(metadata={"static": True})
     """The joints from base to tool, "R" or "P" each."""
@@ -68,6 +76,8 @@ class Arm:
         tool=None,
         name: str = "arm",
         family: str | None = None,
+        coupling=None,
+        tolerance: float | None = None,
         dtype=None,
     ) -> "Arm":
         """An arm from its DH table; the closed form is recognised here, once.
@@ -83,6 +93,11 @@ class Arm:
             name: For people.
             family: The closed form to use instead of the first that fits. Needed when a length or
                 an offset is traced; the twists must be concrete numbers either way.
+            coupling: (n, n) from motor values to joint values, where joints are driven together;
+                `q`, `limits` and `q_now` are motor values.
+            tolerance: Axes that are parallel, square or meeting to so much [rad, and as a share of the
+                arm's size] are recognised as such, the rest is kept in `correction`: for calibrated
+                tables. None takes the table at its word.
             dtype: Of the leaves; by default JAX's own (float64 when x64 is on).
 
         Raises:
@@ -95,20 +110,58 @@ class Arm:
         columns = {name: dh.row(name, column, n) for name, column in columns.items()}
         base = dh.check_pose("base", np.eye(4) if base is None else base)
         tool = dh.check_pose("tool", np.eye(4) if tool is None else tool)
-        limits = dh.check_limits(limits, n)
+        limits, coupling = dh.check_limits(limits, n), dh.check_coupling(coupling, n)
         columns, base, up = dh.to_standard(convention, columns, base)
-        verdict = structure.recognise(kinds, {**columns, "tool": tool}, family, up)
-        dtype = jnp.result_type(float) if dtype is None else dtype
-        leaves = {**columns, "base": base, "tool": tool, "limits": limits}
-        return Arm(
-            **{key: jnp.asarray(value, dtype) for key, value in leaves.items()},
-            kinds=kinds,
-            name=name,
-            family=verdict.family,
-            signs=verdict.signs,
-            branches=verdict.branches,
-            task=verdict.task,
-        )
+        leaves = {**columns, "base": base, "tool": tool, "limits": limits, "coupling": coupling}
+        if tolerance is None:
+            return _built(kinds, leaves, family, up, name, dtype)
+        frames = dh.frames(kinds, columns)
+        given = Axes(kinds, frames[:-1, :3, 2], frames[:-1, :3, 3], frames[-1] @ tool)
+        leaves["correction"] = None
+        return _nearest(given, leaves, tolerance, family, up, name, dtype)
+
+    @staticmethod
+    def from_urdf(
+        source,
+        base: str | None = None,
+        tip: str | None = None,
+        *,
+        tolerance: float = 1e-5,
+        coupling=None,
+        name: str | None = None,
+        family: str | None = None,
+        dtype=None,
+    ) -> "Arm":
+        """An arm from the joints between two links of a URDF file; needs the extra `urdf`.
+
+        Files hold rounded numbers. Axes that are parallel, square or meeting to the tolerance are
+        recognised as such; what they are off by is kept in `correction`, and `solve` answers for the
+        arm as the file has it.
+
+        Args:
+            source: A path, or the XML itself. Meshes are never opened and nothing is fetched.
+            base, tip: Names of links; by default the root, and the one leaf.
+            tolerance: How far axes may be off [rad], and as a share of the arm's size; at most 0.02.
+            coupling, name, family, dtype: As in `from_dh`.
+
+        Raises:
+            ArmFileError: A file that is not sound, or holds what is no serial arm of turning and
+                sliding joints: with its line and the element.
+        """
+        from ikjax.arm.urdf import read_chain
+
+        chain = read_chain(source, base, tip)
+        n, frame, along, points = len(chain.joints), np.eye(4), [], []
+        for joint in chain.joints:
+            frame = frame @ joint.origin
+            along.append(frame[:3, :3] @ joint.axis)
+            points.append(frame[:3, 3])
+        kinds = "".join(joint.kind for joint in chain.joints)
+        given = Axes(kinds, np.array(along), np.array(points), frame @ chain.tool)
+        limits = dh.check_limits([(joint.lower, joint.upper) for joint in chain.joints], n)
+        leaves = {"limits": limits, "coupling": dh.check_coupling(coupling, n), "base": np.eye(4)}
+        up = -1 if given.along[0][2] < -1e-9 else 1
+        return _nearest(given, leaves, tolerance, family, up, name or chain.name, dtype)
 
     @property
     def n(self) -> int:
@@ -167,6 +220,50 @@ class Arm:
 
     def __repr__(self) -> str:
         return f"<Arm {self.name}: {self.kinds}, family {self.family}>"
+
+
+def _built(kinds: str, leaves: dict, family: str | None, up: int, name: str, dtype) -> Arm:
+    """The arm of finished leaves, its family recognised."""
+    verdict = structure.recognise(kinds, leaves, family, up)
+    dtype = jnp.result_type(float) if dtype is None else dtype
+    arrays: dict[str, Any] = {
+        key: None if value is None else jnp.asarray(value, dtype) for key, value in leaves.items()
+    }
+    return Arm(
+        **arrays,
+        kinds=kinds,
+        name=name,
+        family=verdict.family,
+        signs=verdict.signs,
+        branches=verdict.branches,
+        task=verdict.task,
+    )
+
+
+def _nearest(given: Axes, leaves: dict, tolerance: float, family, up: int, name: str, dtype) -> Arm:
+    """The arm of axes in space: as they are where that has the best family, else to the tolerance."""
+    if not 0 <= tolerance <= 0.02:
+        raise ValueError(f"tolerance must be between 0 and 0.02, got {tolerance}")
+    best: tuple[int, Rewritten] | None = None
+    for each in (structure.TOLERANCE, max(tolerance, structure.TOLERANCE)):
+        table = rewritten(given, each)
+        numbers = {**table.columns, "tool": table.tool}
+        found = structure.recognise(given.kinds, numbers, None, up).family
+        wanted = found is not None and family in (None, found)
+        rank = list(RULES).index(found) if wanted and found is not None else len(RULES)
+        if best is None or rank < best[0]:
+            best = rank, table
+    assert best is not None
+    table = best[1]
+    small = np.abs(table.correction).max() <= structure.TOLERANCE
+    leaves = {
+        **leaves,
+        **table.columns,
+        "base": leaves["base"] @ table.base,
+        "tool": table.tool,
+        "correction": None if small else table.correction,
+    }
+    return _built(given.kinds, leaves, family, up, name, dtype)
 
 
 def numbers(leaf: Number) -> tuple[Scalar, ...]:

@@ -85,6 +85,35 @@ def check_limits(limits, n: int) -> np.ndarray:
     return limits
 
 
+def check_coupling(coupling, n: int):
+    """(n, n) with an inverse; None for the identity."""
+    if coupling is None:
+        return None
+    coupling = _convert("coupling", coupling)
+    if coupling.shape != (n, n):
+        raise ValueError(f"coupling must have shape ({n}, {n}), got {coupling.shape}")
+    if isinstance(coupling, np.ndarray):
+        if not np.isfinite(coupling).all():
+            raise ValueError(f"coupling must hold finite numbers, got\n{coupling}")
+        if np.linalg.cond(coupling) > 1e6:
+            raise ValueError(f"coupling must have an inverse, got\n{coupling}")
+        if np.array_equal(coupling, np.eye(n)):
+            return None
+    return coupling
+
+
+def frames(kinds: str, numbers: dict) -> np.ndarray:
+    """(n + 1, 4, 4) where a standard table puts the base and every link at q = 0."""
+    frames = [np.eye(4)]
+    for i in range(len(kinds)):
+        s, c = np.sin(numbers["theta"][i]), np.cos(numbers["theta"][i])
+        sa, ca = np.sin(numbers["alpha"][i]), np.cos(numbers["alpha"][i])
+        a, d = numbers["a"][i], numbers["d"][i]
+        link = [[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0, sa, ca, d], [0, 0, 0, 1]]
+        frames.append(frames[-1] @ np.array(link))
+    return np.stack(frames)
+
+
 def to_standard(convention: str, numbers: dict, base) -> tuple[dict, object, int]:
     """The same arm in standard DH: what stood before the first joint goes into the base.
 

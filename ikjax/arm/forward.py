@@ -4,6 +4,7 @@ Storey: arm.
 Source: Spong, Robot Modeling and Control, equation (3.10).
 """
 
+import functools
 import math
 from typing import NamedTuple
 
@@ -120,13 +121,45 @@ def _mix(a: Scalar, u: vector.Vector, b: Scalar, v: vector.Vector) -> vector.Vec
     return vector.add(vector.scale(a, u), vector.scale(b, v))
 
 
+def corrections(arm: Arm) -> tuple[Pose, ...] | None:
+    """What the arm as given is off by after the base and after each link."""
+    if arm.correction is None:
+        return None
+    return tuple(_small_pose(numbers(arm.correction[i])) for i in range(arm.n + 1))
+
+
+def _small_pose(twist: tuple[Scalar, ...]) -> Pose:
+    """The pose of a shift and a rotation vector; the series are exact to 1e-16 up to 0.05 rad."""
+    x, y, z = twist[3:]
+    square = x * x + y * y + z * z
+    first = 1 - square / 6 * (1 - square / 20 * (1 - square / 42))
+    second = (1 - square / 12 * (1 - square / 30 * (1 - square / 56))) / 2
+    rotation = (
+        (1 - second * (y * y + z * z), second * x * y - first * z, second * x * z + first * y),
+        (second * x * y + first * z, 1 - second * (x * x + z * z), second * y * z - first * x),
+        (second * x * z - first * y, second * y * z + first * x, 1 - second * (x * x + y * y)),
+    )
+    return Pose(rotation, tuple(twist[:3]))
+
+
+def coupled(arm: Arm, q: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
+    """Joint values from motor values."""
+    if arm.coupling is None:
+        return q
+    rows = [numbers(arm.coupling[i]) for i in range(arm.n)]
+    return tuple(functools.reduce(plus, map(times, row, q)) for row in rows)
+
+
 def _chain(arm: Arm, q: jax.Array) -> list[Pose]:
-    frame = fixed_pose(arm.base)
+    frame, off = fixed_pose(arm.base), corrections(arm)
+    frame = frame if off is None else poses.compose(frame, off[0])
     frames = [frame]
+    values = coupled(arm, tuple(q[..., i] for i in range(arm.n)))
     for i, link in enumerate(links(arm)):
-        turn, slide = (q[..., i], 0) if link.kind == "R" else (0, q[..., i])
+        turn, slide = (values[i], 0) if link.kind == "R" else (0, values[i])
         joint = Joint(*known_sincos(link.theta + turn), link.d + slide)
         frame = advance(frame, link, joint)
+        frame = frame if off is None else poses.compose(frame, off[i + 1])
         frames.append(frame)
     return frames
 

@@ -29,4 +29,5 @@ def jacobian(arm: Arm, q) -> jax.Array:
     sliding = jnp.concatenate([axis, jnp.zeros_like(axis)], axis=-1)
     revolute = jnp.asarray([[kind == "R"] for kind in arm.kinds])
     columns = jnp.where(jnp.broadcast_to(revolute, turning.shape), turning, sliding)
-    return jnp.swapaxes(columns, -1, -2)
+    columns = jnp.swapaxes(columns, -1, -2)
+    return columns if arm.coupling is None else jnp.matmul(columns, jnp.asarray(arm.coupling))

@@ -32,7 +32,7 @@ def cosine_sine(
     b: Scalar,
     c: Scalar,
     side: Scalar,
-    noise: float = 0.0,
+    noise: Scalar = 0.0,
     root: Callable[[Scalar], Scalar] = safe.sqrt,
 ) -> CosineSine:
     """Solve a cos(t) + b sin(t) = c by its sine and cosine, with nothing infinite at t = pi.
@@ -52,7 +52,7 @@ def cosine_sine(
     """
     size_squared = a * a + b * b
     gap = size_squared - c * c
-    if noise:
+    if not (isinstance(noise, float) and noise == 0):
         taken = 2 * noise * abs(c)
         gap = jnp.where(gap < 64 * taken, gap + taken, gap)
     height = side * root(gap)

@@ -50,7 +50,7 @@ def holder(like: jax.Array):
     optimization barrier is gone by the time it decides that.
     """
     one = opaque_one(like)
-    return lambda x: x / one
+    return lambda x: x / (one if jnp.ndim(x) <= one.ndim else one[None])
 
 
 def opaque_one(like: jax.Array) -> jax.Array:

@@ -44,8 +44,10 @@ class Setting(NamedTuple):
     """The tool point seen from the frame that ends in the last joint."""
     tiny: float
     """Lengths (in units of the reach) and sines below this are zero."""
-    noise: float
-    """What rounding may have taken from a length."""
+    noise: Scalar
+    """What rounding may have taken from a length, and what the arm is off by."""
+    off: Scalar
+    """What the arm as given is off by, in lengths and angles: zero for the arm as recognised."""
     hold: Callable[[Scalar], Scalar]
     """Called on what many outputs share; see `ik.graph`."""
     share: Callable[[Scalar], Scalar] | None

@@ -4,6 +4,7 @@ Storey: solvers. The goal is brought to units of the reach and to the frame its 
 family proposes joints for every slot, and forward kinematics on the given arm decides which hold.
 """
 
+import functools
 import math
 from collections.abc import Callable
 from typing import NamedTuple
@@ -12,14 +13,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ikjax.arm.arm import Arm
-from ikjax.arm.forward import Joint, Link, advance, fixed_pose, links, strip
+from ikjax.arm.arm import Arm, numbers
+from ikjax.arm.forward import Joint, Link, advance, corrections, coupled, fixed_pose, links, strip
 from ikjax.core import pose as poses
 from ikjax.core import safe, vector
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Angle, Scalar, atan2, canonical, sincos, wrap
 from ikjax.solvers import FAMILIES, Family
 from ikjax.solvers.branch import Branch, Joints, Setting, Slide, placed
+from ikjax.solvers.polish import Given, polished
 
 TOLERANCE = {"float32": 2e-5, "float64": 1e-9}
 """A slot is valid when its pose is this close, [rad] and as a share of (reach + |p|)."""
@@ -61,6 +63,11 @@ class Frame(NamedTuple):
     """T_tool_tip"""
     tool: vector.Vector
     """The tool point seen from the tip."""
+    between: tuple[Pose, ...] | None
+    """What each link but the last is off by, at its end; see `Arm.correction`."""
+    off: Scalar
+    """A small part of all that they are off by: enough to bend an elbow that has to be straight on the
+    arm as recognised and need not be on the arm as given."""
 
 
 def reach(arm: Arm) -> Scalar:
@@ -77,7 +84,11 @@ def prepare(arm: Arm) -> Frame:
         link._replace(a=vector.times(per, link.a), d=vector.times(per, link.d), theta=_wrapped(link.theta))
         for link in links(arm)
     )
-    base, tool = fixed_pose(arm.base), fixed_pose(arm.tool)
+    base, tool, between = fixed_pose(arm.base), fixed_pose(arm.tool), None
+    off = corrections(arm)
+    if off is not None:
+        base, tool = poses.compose(base, off[0]), poses.compose(off[-1], tool)
+        between = tuple(Pose(p.rotation, vector.scale(per, p.position)) for p in off[1:-1])
     base = Pose(base.rotation, vector.scale(per, base.position))
     tool = Pose(tool.rotation, vector.scale(per, tool.position))
     tip_tool = poses.compose(advance(poses.IDENTITY, table[-1], Joint(0.0, 1.0, table[-1].d)), tool)
@@ -89,7 +100,15 @@ def prepare(arm: Arm) -> Frame:
         poses.inverse(base),
         poses.inverse(tip_tool),
         tip_tool.position,
+        between,
+        0.0 if between is None else _sum_off(arm, per),
     )
+
+
+def _sum_off(arm: Arm, per: Scalar) -> Scalar:
+    assert arm.correction is not None
+    rows = [numbers(arm.correction[i]) for i in range(1, arm.n)]
+    return sum(per * sum(map(abs, row[:3])) + sum(map(abs, row[3:])) for row in rows) / 32
 
 
 def _wrapped(theta: Scalar) -> Scalar:
@@ -146,7 +165,7 @@ def solve_scalars(
     tolerance = TOLERANCE[dtype.name] if tolerance is None else tolerance
     frame = prepare(arm)
     tiny = 64 * float(np.finfo(dtype).eps)
-    now = (0.0,) * arm.n if now is None else now
+    now = coupled(arm, (0.0,) * arm.n if now is None else now)
     fill = tuple(_now(link, value, frame, dtype) for link, value in zip(frame.links, now, strict=True))
 
     scaled = Pose(goal.rotation, vector.scale(frame.per_reach, goal.position))
@@ -154,12 +173,20 @@ def solve_scalars(
     hold = hold or (lambda x: x)
     tip = jax.tree.map(hold, tip)
     allowed = tolerance * (1 + vector.norm(scaled.position))
-    setting = Setting(fill, frame.tool, tiny, tiny / 8, hold, share)
+    setting = Setting(fill, frame.tool, tiny, vector.plus(tiny / 8, frame.off), frame.off, hold, share)
     turning = arm.task in TURNING
-    slots = []
     family = FAMILIES[str(arm.family)]
-    for branch in family.branches(arm.signs, frame.links, tip, setting):
-        gap_squared, turn_squared = map(hold, _mismatch(frame, family, branch))
+    branches = family.branches(arm.signs, frame.links, tip, setting)
+    if frame.between is not None or family.polish:
+        given = Given(frame.links, frame.between, frame.tool)
+        branches, gaps, turns = polished(given, branches, tip, turning, setting)
+        measured = list(zip(gaps, turns, strict=True))
+    else:
+        measured = [_mismatch(frame, family, branch) for branch in branches]
+    motors = _motors(arm)
+    slots = []
+    for branch, (gap_squared, turn_squared) in zip(branches, measured, strict=True):
+        gap_squared, turn_squared = hold(gap_squared), hold(turn_squared)
         turn_squared = turn_squared if turning else jnp.zeros_like(gap_squared)
         # |R - S| = sqrt(8) sin(angle / 2), in the Frobenius norm.
         valid = (gap_squared <= allowed * allowed) & (turn_squared <= 2 * tolerance**2)
@@ -167,7 +194,7 @@ def solve_scalars(
         slots.append(
             Slot(
                 branch.joints,
-                _joint_values(frame, branch),
+                motors(_joint_values(frame, branch)),
                 valid,
                 frame.reach * jnp.minimum(branch.margin, 1),
                 branch.continuum,
@@ -189,6 +216,25 @@ def _asked(task: str, frame: Frame, goal: Pose) -> Pose:
         return poses.compose(seen, frame.from_tool)
     zero = jnp.zeros_like(seen.position[0])
     return Pose(((zero,) * 3,) * 3, seen.position)
+
+
+def _motors(arm: Arm) -> Callable[[tuple[Scalar, ...]], tuple[Scalar, ...]]:
+    """From joint values to motor values, angles in (-pi, pi]."""
+    if arm.coupling is None:
+        return lambda q: q
+    known = isinstance(arm.coupling, np.ndarray) and arm.coupling.dtype != object
+    inverse = np.linalg.inv(arm.coupling) if known else jnp.linalg.inv(jnp.stack([*map(_row, arm.coupling)]))
+    rows = [numbers(inverse[i]) for i in range(arm.n)]
+
+    def motor(kind, row, q):
+        value = functools.reduce(vector.plus, map(vector.times, row, q))
+        return wrap(value) if kind == "R" else value
+
+    return lambda q: tuple(motor(kind, row, q) for kind, row in zip(arm.kinds, rows, strict=True))
+
+
+def _row(entries) -> jax.Array:
+    return jnp.stack([jnp.asarray(x) for x in entries]) if isinstance(entries, np.ndarray) else entries
 
 
 def _now(link: Link, value: Scalar, frame: Frame, dtype) -> Angle | Slide:

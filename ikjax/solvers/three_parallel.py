@@ -77,6 +77,7 @@ def branches(
                 three.a,
                 up * s1 * side * facing * height,
                 setting,
+                setting.off,
             )
             # c23 t4 = pitch - (t2 + elbow)
             fore_sin = arm.shoulder_sin * arm.elbow_cos + arm.shoulder_cos * arm.elbow_sin

@@ -1,0 +1,244 @@
+"""URDF files: a strict reader of the one serial chain from a base link to a tip link.
+
+Storey: arm. Kinematics only: meshes, masses, materials and plugins are skipped and never opened.
+The file is data from anywhere: nothing is fetched, sizes are bounded, and what is not plainly
+right is refused with file, line, element and reason. What hangs off the chain must still belong to
+one tree of named links and joints, but it may move in any way and its numbers are not read.
+Source: the URDF specification, wiki.ros.org/urdf/XML/joint and wiki.ros.org/urdf/XML/link.
+"""
+
+import os
+import re
+import warnings
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from ikjax.arm.dh import MAX_LENGTH
+from ikjax.arm.urdf_xml import Element, listing, load, parse, quote
+
+MAX_JOINTS = 32
+KINDS = {"revolute": "R", "continuous": "R", "prismatic": "P"}
+_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+_WORD = re.compile(r"[^ \t\r\n]+")
+
+
+class UrdfJoint(NamedTuple):
+    name: str
+    kind: str
+    """ "R" or "P"."""
+    origin: np.ndarray
+    """(4, 4) the joint's frame in the child link of the moving joint before it, or in the base link."""
+    axis: np.ndarray
+    """(3,) unit vector in the joint's frame."""
+    lower: float
+    """[rad or m], -inf where there is no limit."""
+    upper: float
+    """[rad or m], inf where there is no limit."""
+
+
+class UrdfChain(NamedTuple):
+    """The moving joints between two links, with the fixed ones folded in."""
+
+    name: str
+    base: str
+    tip: str
+    joints: tuple[UrdfJoint, ...]
+    tool: np.ndarray
+    """(4, 4) the tip link in the child link of the last moving joint."""
+
+
+def read_chain(
+    source: str | bytes | os.PathLike, base: str | None = None, tip: str | None = None
+) -> UrdfChain:
+    """The serial chain of a URDF file.
+
+    Args:
+        source: A path, or the XML itself: bytes, or a str that starts with "<".
+        base: Name of the first link; by default the one link without a parent.
+        tip: Name of the last link, below `base`; by default the one link there without a child.
+
+    Raises:
+        ArmFileError: The file is not plainly right, or does not hold such a chain.
+        ImportError: The extra `urdf` is not installed.
+        OSError: The file cannot be read.
+    """
+    tree = _grow(*parse(*load(source)))
+    base, path = _path(tree, base, tip)
+    joints: list[UrdfJoint] = []
+    pose = np.eye(4)
+    for joint in path:
+        pose = pose @ _origin(joint)
+        if joint.kind != "fixed":
+            joints.append(UrdfJoint(joint.name, KINDS[joint.kind], pose, _axis(joint), *_limits(joint)))
+            pose = np.eye(4)
+    end = path[-1].child if path else base
+    if not 1 <= len(joints) <= MAX_JOINTS:
+        count = f"{len(joints)} moving joints, more than {MAX_JOINTS}," if joints else "no moving joint"
+        raise tree.robot.error(f"{count} between links {quote(base)} and {quote(end)}")
+    return UrdfChain(tree.robot.attributes["name"], base, end, tuple(joints), pose)
+
+
+class _Joint(NamedTuple):
+    element: Element
+    name: str
+    kind: str
+    parent: str
+    child: str
+
+
+class _Tree(NamedTuple):
+    robot: Element
+    above: dict[str, _Joint]
+    """The joint that carries each link."""
+    below: dict[str, list[_Joint]]
+    """The joints that each link carries."""
+
+
+def _grow(robot: Element, links: Iterable[str], joints: dict[str, Element]) -> _Tree:
+    robot.required("name")
+    tree = _Tree(robot, {}, {link: [] for link in links})
+    if not tree.below:
+        raise robot.error("no links")
+    for name, element in joints.items():
+        parent, child = (_end(element, side, tree.below) for side in ("parent", "child"))
+        joint = _Joint(element, name, element.required("type"), parent, child)
+        first = tree.above.setdefault(child, joint)
+        if first is not joint:
+            raise element.error(f"link {quote(child)} has a parent already, by {first.element.label}")
+        tree.below[parent].append(joint)
+    return tree
+
+
+def _end(joint: Element, side: str, links: Iterable[str]) -> str:
+    if side not in joint.children:
+        raise joint.error(f"<{side}> is missing")
+    name = joint.children[side].required("link")
+    if name not in links:
+        raise joint.children[side].error(f"{side} link {quote(name)} does not exist")
+    return name
+
+
+def _root(tree: _Tree) -> str:
+    """The one link without a parent, above all others."""
+    roots = [link for link in tree.below if link not in tree.above]
+    reached = {link for root in roots for link in _walk(tree, root)}
+    if len(reached) < len(tree.below):
+        link, seen = next(link for link in tree.below if link not in reached), set()
+        while link not in seen:
+            seen.add(link)
+            link = tree.above[link].parent
+        raise tree.above[link].element.error(f"link {quote(link)} is in a cycle")
+    if len(roots) > 1:
+        raise tree.robot.error(f"{len(roots)} root links, expected one: {listing(map(quote, roots))}")
+    return roots[0]
+
+
+def _walk(tree: _Tree, start: str) -> dict[str, int]:
+    """A link and all below it, each with the number of moving joints on the way."""
+    found, todo = {start: 0}, [start]
+    while todo:
+        link = todo.pop()
+        for joint in tree.below[link]:
+            found[joint.child] = found[link] + (joint.kind != "fixed")
+            todo.append(joint.child)
+    return found
+
+
+def _path(tree: _Tree, base: str | None, tip: str | None) -> tuple[str, list[_Joint]]:
+    """The base link, and the joints from there to the tip."""
+    root = _root(tree)
+    base = root if base is None else base
+    for key, name in {"base": base, "tip": tip}.items():
+        if name is not None and name not in tree.below:
+            raise tree.robot.error(f"{key}={quote(name)} is none of {listing(map(quote, tree.below))}")
+    found = _walk(tree, base)
+    leaves = [link for link in found if not tree.below[link]]
+    if tip is None and len(leaves) > 1:
+        listed = listing(f"{quote(leaf)} ({found[leaf]} moving joints)" for leaf in leaves)
+        reason = f"{len(leaves)} leaf links below {quote(base)}, give one as tip=: {listed}"
+        raise tree.robot.error(reason)
+    link = leaves[0] if tip is None else tip
+    if link not in found:
+        raise tree.robot.error(f"tip link {quote(link)} is not below base link {quote(base)}")
+    path: list[_Joint] = []
+    while link != base:
+        path.append(tree.above[link])
+        link = path[-1].parent
+    return base, [_supported(joint) for joint in path[::-1]]
+
+
+def _supported(joint: _Joint) -> _Joint:
+    if joint.kind != "fixed" and joint.kind not in KINDS:
+        raise joint.element.error(f"type {quote(joint.kind)} must be one of fixed, {', '.join(KINDS)}")
+    if "mimic" in joint.element.children:
+        raise joint.element.children["mimic"].error("a joint that mimics another is not supported")
+    return joint
+
+
+def _numbers(element: Element, key: str, default: str) -> list[float]:
+    """An attribute that holds as many numbers as its default."""
+    text = element.attributes.get(key, default)
+    words, wanted = _WORD.findall(text), len(default.split())
+    plain = len(words) == wanted and all(map(_NUMBER.fullmatch, words))
+    values = [float(word) for word in words] if plain else []
+    if not plain or not np.isfinite(values).all():
+        hint = ": expand xacro first" if "${" in text or "$(" in text else ""
+        wish = f"{key} of <{element.tag}> must hold {wanted} plain, finite decimal number{'s'[: wanted - 1]}"
+        raise element.error(f"{wish}, got {quote(text)}{hint}")
+    return values
+
+
+def rotation_of(roll: float, pitch: float, yaw: float) -> np.ndarray:
+    """Rz(yaw) Ry(pitch) Rx(roll): turns [rad] about the fixed x, then y, then z."""
+    (sr, sp, sy), (cr, cp, cy) = np.sin([roll, pitch, yaw]), np.cos([roll, pitch, yaw])
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def _origin(joint: _Joint) -> np.ndarray:
+    """(4, 4) the joint's frame in its parent link."""
+    pose = np.eye(4)
+    element = joint.element.children.get("origin")
+    if element is not None:
+        pose[:3, 3] = _numbers(element, "xyz", "0 0 0")
+        pose[:3, :3] = rotation_of(*_numbers(element, "rpy", "0 0 0"))
+        if np.abs(pose[:3, 3]).max() > MAX_LENGTH:
+            raise element.error(f"xyz of <origin> must be at most {MAX_LENGTH:g} m")
+    return pose
+
+
+def _axis(joint: _Joint) -> np.ndarray:
+    """(3,) the unit axis in the joint's frame; x where the file has none, as specified."""
+    element = joint.element.children.get("axis")
+    if element is None:
+        return np.array([1.0, 0.0, 0.0])
+    element.required("xyz")
+    axis = np.array(_numbers(element, "xyz", "1 0 0"))
+    largest = float(np.abs(axis).max())
+    if largest == 0:
+        raise element.error("axis must not be zero")
+    # The largest entry first, so that no square overflows or vanishes.
+    unit = axis / largest
+    length = float(np.linalg.norm(unit))
+    if abs(largest * length - 1) > 1e-6:
+        warnings.warn(str(element.error(f"axis has length {largest * length:g}, normalised")), stacklevel=3)
+    return unit / length
+
+
+def _limits(joint: _Joint) -> tuple[float, float]:
+    if joint.kind == "continuous":
+        return -np.inf, np.inf
+    element = joint.element.children.get("limit")
+    if element is None:
+        raise joint.element.error(f"a {joint.kind} joint needs a <limit>")
+    lower, upper = (_numbers(element, key, "0")[0] for key in ("lower", "upper"))
+    if lower > upper:
+        raise element.error(f"limit must have lower <= upper, got {lower:g} and {upper:g}")
+    return lower, upper

@@ -1,0 +1,44 @@
+"""Small dense systems, unrolled.
+
+Storey: core. Every entry may be an array of any batch shape.
+Source: the square-root-free Cholesky factorisation; Golub and Van Loan, Matrix Computations, section 4.1.
+"""
+
+from ikjax.core import safe
+from ikjax.core.trig import Scalar
+
+Row = list[Scalar]
+
+
+def solve_symmetric(matrix: list[Row], right: Row) -> Row:
+    """x with matrix x = right, for a symmetric positive definite matrix; zeros where a pivot is zero.
+
+    Args:
+        matrix: n rows of n entries, of which the lower triangle is looked at.
+        right: n entries.
+    """
+    n = len(right)
+    lower: list[Row] = [[0.0] * n for _ in range(n)]
+    inverse_pivots: Row = []
+    for i in range(n):
+        scaled: Row = []
+        for j in range(i):
+            entry = matrix[i][j]
+            for k in range(j):
+                entry = entry - scaled[k] * lower[j][k]
+            scaled.append(entry)
+        pivot = matrix[i][i]
+        for j in range(i):
+            lower[i][j] = scaled[j] * inverse_pivots[j]
+            pivot = pivot - scaled[j] * lower[i][j]
+        inverse_pivots.append(safe.divide(1, pivot))
+    x = list(right)
+    for i in range(n):
+        for j in range(i):
+            x[i] = x[i] - lower[i][j] * x[j]
+    for i in range(n):
+        x[i] = x[i] * inverse_pivots[i]
+    for i in reversed(range(n)):
+        for j in range(i + 1, n):
+            x[i] = x[i] - lower[j][i] * x[j]
+    return x
