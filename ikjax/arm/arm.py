@@ -77,6 +77,7 @@ class Arm:
         name: str = "arm",
         family: str | None = None,
         coupling=None,
+        correction=None,
         tolerance: float | None = None,
         dtype=None,
     ) -> "Arm":
@@ -95,6 +96,7 @@ class Arm:
                 an offset is traced; the twists must be concrete numbers either way.
             coupling: (n, n) from motor values to joint values, where joints are driven together;
                 `q`, `limits` and `q_now` are motor values.
+            correction: (n + 1, 6) what the arm is off by after the base and after each link.
             tolerance: Axes that are parallel, square or meeting to so much [rad, and as a share of the
                 arm's size] are recognised as such, the rest is kept in `correction`: for calibrated
                 tables. None takes the table at its word.
@@ -113,11 +115,13 @@ class Arm:
         limits, coupling = dh.check_limits(limits, n), dh.check_coupling(coupling, n)
         columns, base, up = dh.to_standard(convention, columns, base)
         leaves = {**columns, "base": base, "tool": tool, "limits": limits, "coupling": coupling}
+        leaves["correction"] = dh.check_correction(correction, n)
         if tolerance is None:
             return _built(kinds, leaves, family, up, name, dtype)
         frames = dh.frames(kinds, columns)
         given = Axes(kinds, frames[:-1, :3, 2], frames[:-1, :3, 3], frames[-1] @ tool)
-        leaves["correction"] = None
+        if correction is not None:
+            raise ValueError("correction is what tolerance= finds: give one or the other")
         return _nearest(given, leaves, tolerance, family, up, name, dtype)
 
     @staticmethod

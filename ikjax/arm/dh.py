@@ -102,6 +102,18 @@ def check_coupling(coupling, n: int):
     return coupling
 
 
+def check_correction(correction, n: int):
+    """(n + 1, 6) small twists, or None."""
+    if correction is None:
+        return None
+    correction = _convert("correction", correction)
+    if correction.shape != (n + 1, 6):
+        raise ValueError(f"correction must have shape ({n + 1}, 6), got {correction.shape}")
+    if isinstance(correction, np.ndarray) and not np.abs(correction[:, 3:]).max() <= 0.05:
+        raise ValueError(f"correction must turn by 0.05 rad at most, got {np.abs(correction[:, 3:]).max()}")
+    return correction
+
+
 def frames(kinds: str, numbers: dict) -> np.ndarray:
     """(n + 1, 4, 4) where a standard table puts the base and every link at q = 0."""
     frames = [np.eye(4)]

@@ -33,7 +33,7 @@ def _column(name: str, values: Iterable[str], width: list[int]) -> str:
 def paste(arm) -> str:
     """The call to `Arm.from_dh` that makes this arm, one column of the table a line."""
     try:
-        leaves = {k: np.asarray(getattr(arm, k), float) for k in _LEAVES}
+        leaves = {k: np.asarray(v, float) for k in _LEAVES if (v := getattr(arm, k)) is not None}
     except jax.errors.TracerArrayConversionError:
         return repr(arm)  # there are no numbers to print
     text = functools.partial(_number, dtype=arm.dtype)
@@ -45,12 +45,12 @@ def paste(arm) -> str:
     if np.isfinite(leaves["limits"]).any():
         pairs = ", ".join(f"({text(lo)}, {text(hi)})" for lo, hi in leaves["limits"])
         lines.append(f"    limits = [{pairs}],")
-    for key in ("base", "tool"):
-        if not np.array_equal(leaves[key], np.eye(4)):
+    for key in ("base", "tool", "coupling", "correction"):
+        if getattr(arm, key) is not None and not np.array_equal(leaves[key], np.eye(4)):
             rows = ", ".join("[" + ", ".join(text(v) for v in row) + "]" for row in leaves[key])
             lines.append(f"    {key} = array([{rows}]),")
     lines.append(")")
     return "\n".join(lines)
 
 
-_LEAVES = ("a", "alpha", "d", "theta", "base", "tool", "limits")
+_LEAVES = ("a", "alpha", "d", "theta", "base", "tool", "limits", "coupling", "correction")

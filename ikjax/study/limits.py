@@ -20,13 +20,19 @@ def within(arm: Arm, slot: Slot) -> jax.Array:
     of cross products; an arc of more than half a turn is the complement of one of less.
 
     Args:
-        arm: A baked arm of turning joints.
+        arm: A baked arm.
         slot: One of its slots.
     """
+    if arm.coupling is not None:
+        return _by_value(arm, slot)
     slack = 8 * float(jnp.finfo(arm.dtype).eps)
     inside = jnp.asarray(True)
-    for link, joint, (lower, upper) in zip(links(arm), slot.joints, arm.limits.tolist(), strict=True):
+    rows = zip(links(arm), slot.joints, slot.q, arm.limits.tolist(), strict=True)
+    for link, joint, value, (lower, upper) in rows:
         width = upper - lower
+        if link.kind == "P":
+            inside = inside & (value >= lower - slack) & (value <= upper + slack)
+            continue
         if width >= 2 * math.pi:
             continue
         first, last = link.theta + lower, link.theta + upper
@@ -40,4 +46,18 @@ def within(arm: Arm, slot: Slot) -> jax.Array:
         else:
             between = (past_first >= -slack) | (before_last >= -slack)
         inside = inside & between
+    return inside
+
+
+def _by_value(arm: Arm, slot: Slot) -> jax.Array:
+    """The same for coupled joints, whose limits are those of the motors."""
+    slack = 8 * float(jnp.finfo(arm.dtype).eps)
+    inside = jnp.asarray(True)
+    for kind, value, (lower, upper) in zip(arm.kinds, slot.q, arm.limits.tolist(), strict=True):
+        if kind == "R" and upper - lower >= 2 * math.pi:
+            continue
+        if kind == "R":
+            turn = 2 * math.pi
+            value = value + turn * jnp.ceil((lower - slack - value) / turn)
+        inside = inside & (value >= lower - slack) & (value <= upper + slack)
     return inside

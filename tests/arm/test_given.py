@@ -187,12 +187,24 @@ def test_coupled_joints_are_motor_values_everywhere():
         ({"coupling": np.eye(5)}, r"coupling must have shape \(6, 6\), got \(5, 5\)"),
         ({"coupling": np.zeros((6, 6))}, "coupling must have an inverse"),
         ({"coupling": np.full((6, 6), np.nan)}, "coupling must hold finite numbers"),
+        ({"correction": np.zeros((6, 6))}, r"correction must have shape \(7, 6\), got \(6, 6\)"),
+        ({"correction": np.ones((7, 6))}, "correction must turn by 0.05 rad at most, got 1.0"),
+        ({"correction": np.zeros((7, 6)), "tolerance": 0.01}, "give one or the other"),
         ({"tolerance": 0.5}, "tolerance must be between 0 and 0.02, got 0.5"),
     ],
 )
 def test_a_mistake_is_named(changes, message):
     with pytest.raises(ValueError, match=message):
         ikjax.Arm.from_dh(**UR10E, convention="standard", **changes)
+
+
+@pytest.mark.parametrize("make", [lambda: calibrated(1e-2), coupled])
+def test_a_printed_arm_can_be_pasted_back(make):
+    arm = make()
+    exec(str(arm), scope := {})
+    q = np.random.default_rng(4).uniform(-np.pi, np.pi, (20, 6))
+    np.testing.assert_allclose(ikjax.fk(scope["arm"], q), ikjax.fk(arm, q), atol=1e-10)
+    assert scope["arm"].family == arm.family
 
 
 def test_a_table_that_is_exact_needs_no_correction():

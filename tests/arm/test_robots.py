@@ -63,7 +63,9 @@ def test_the_catalogue_is_listed_in_alphabetical_order():
 
 
 def test_an_unknown_robot_is_answered_with_the_list():
-    with pytest.raises(ValueError, match="no robot 'puma'; the catalogue has elbow_manipulator, irb120"):
+    with pytest.raises(
+        ValueError, match="no robot 'puma'; the catalogue has elbow_manipulator, gx4_351s, irb120"
+    ):
         ikjax.robots.get("puma")
 
 

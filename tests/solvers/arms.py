@@ -121,7 +121,12 @@ def _awkward() -> dict[str, functools.partial]:
 
 
 AWKWARD = _awkward()
-NAMES = (*ikjax.robots.names(), *AWKWARD)
+CATALOGUE = tuple(
+    name
+    for name in ikjax.robots.names()
+    if ikjax.robots.get(name).family in ("ortho_parallel_wrist", "three_parallel")
+)
+NAMES = (*CATALOGUE, *AWKWARD)
 
 DISTINCT = (
     "puma560",

@@ -1,6 +1,7 @@
-"""The long form: a million random goals for each arm of the catalogue."""
+"""The long form: a million random goals for each arm and each family."""
 
 import arms
+import every
 import numpy as np
 import pytest
 
@@ -24,7 +25,7 @@ def _tally(name, dtype):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", ikjax.robots.names())
+@pytest.mark.parametrize("name", arms.CATALOGUE)
 class TestMillion:
     def test_float64_makes_no_mistake(self, name):
         assert _tally(name, np.float64) == (0, 0, 0)
@@ -35,3 +36,39 @@ class TestMillion:
             print(f"\n{name} float32: {none} of {COUNT} goals without an answer, {missing} joints missing")
         assert wrong == 0
         assert none < COUNT * 1e-4
+
+
+EVERY = {
+    "parallel_axes": "2, 3, 4 parallel",
+    "pieper": "RRR, wrist",
+    "pieper_reversed": "wrist first, RRRRRR",
+}
+EVERY |= {"position": "RRR, point", "scara": "SCARA RRPR", "turret": "turret", "planar_pose": "3R"}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("family", EVERY)
+def test_a_million_goals_of_every_other_family(family, capsys):
+    arm = every.build(EVERY[family])
+    assert arm.family == family
+    wrong = none = missing = 0
+    for part in range(COUNT // BATCH):
+        q = every.joints(arm, BATCH, seed=100 + part)
+        goals = arms.numpy_fk(arm, q)
+        sol = ikjax.solve(arm, goals)
+        sol = ikjax.Solutions(**{k: np.asarray(v) for k, v in vars(sol).items()})
+        gap, turn = every.errors(arm, sol.q, goals[:, None])
+        size = arms.reach(arm) + np.linalg.norm(goals[:, :3, 3], axis=-1)[:, None]
+        wrong += int((sol.valid & ((gap > 1.1e-9 * size) | (turn > 1.1e-9))).sum())
+        none += int((~sol.valid.any(-1)).sum())
+        off = np.abs(sol.q - q[:, None])
+        off = np.where([kind == "R" for kind in arm.kinds], np.abs(arms.wrapped(off)), off).max(-1)
+        least = every.sigma_min(arm, q)
+        near = np.where(sol.valid, off, np.inf).min(-1)
+        missing += int((near > np.minimum(1e-8 / np.maximum(least, 1e-300), 1e-3))[least > 1e-6].sum())
+    with capsys.disabled():
+        print(
+            f"\n{family}: of {COUNT} goals {wrong} slots wrong, {none} without an answer, {missing} missing"
+        )
+    assert wrong == 0
+    assert (none, missing) == (0, 0)

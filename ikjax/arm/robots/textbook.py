@@ -35,3 +35,74 @@ def elbow_manipulator(a2: float = 0.4, a3: float = 0.3, a4: float = 0.1) -> Arm:
         convention="standard",
         name="elbow_manipulator",
     )
+
+
+def stanford() -> Arm:
+    """The Stanford arm, RRPRRR: two turns, a slide, a spherical wrist.
+
+    Source: the table and limits of Corke, Robotics Toolbox for MATLAB, models/mdl_stanford.m, which cites
+    Stanford AIM-177 for the lengths; he calls the range of the slide a guess.
+    """
+    turns = np.multiply([(-170, 170), (-170, 170), (0, 0), (-170, 170), (-90, 90), (-170, 170)], DEG)
+    turns[2] = 0.3048, 1.27
+    return Arm.from_dh(
+        a=[0, 0, 0, 0, 0, 0],
+        alpha=np.multiply([-90, 90, 0, -90, 90, 0], DEG),
+        d=[0.412, 0.154, 0, 0, 0, 0.263],
+        theta=np.multiply([0, 0, -90, 0, 0, 0], DEG),
+        kinds="RRPRRR",
+        limits=turns,
+        convention="standard",
+        name="stanford",
+    )
+
+
+def planar_2r(l1: float = 0.5, l2: float = 0.4) -> Arm:
+    """Two links in a plane; the lengths [m] are free, the defaults are ours. Task "planar_position".
+
+    Source: Spong, Robot Modeling and Control, equations (1.5)-(1.8).
+    """
+    return Arm.from_dh(a=[l1, l2], alpha=[0, 0], d=[0, 0], convention="standard", name="planar_2r")
+
+
+def planar_3r(l1: float = 0.5, l2: float = 0.4, l3: float = 0.2) -> Arm:
+    """Three links in a plane; the lengths [m] are free, the defaults are ours. Task "planar_pose".
+
+    Source: Craig, Introduction to Robotics, 3rd ed., section 4.4.
+    """
+    return Arm.from_dh(a=[l1, l2, l3], alpha=[0, 0, 0], d=[0, 0, 0], convention="standard", name="planar_3r")
+
+
+def planar_rpr(l3: float = 0.3) -> Arm:
+    """A turn, a telescope along it, a turn: x = S c1 + l3 c13, y = S s1 + l3 s13. Task "planar_pose".
+
+    The length [m] is free, the default is ours. Source: the lectures' slides on RPR arms.
+    """
+    return Arm.from_dh(
+        a=[0, 0, l3],
+        alpha=np.multiply([90, -90, 0], DEG),
+        d=[0, 0, 0],
+        theta=np.multiply([90, 0, -90], DEG),
+        kinds="RPR",
+        convention="standard",
+        name="planar_rpr",
+    )
+
+
+def planar_prr(l2: float = 7.0, l3: float = 5.0) -> Arm:
+    """A slide along y, then two links that point along y at zero: x = -l2 s2 - l3 s23. Task "planar_pose".
+
+    The lengths [m] and limits are those of the lectures' slides on PRR arms.
+    """
+    upright = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+    return Arm.from_dh(
+        a=[0, l2, l3],
+        alpha=np.multiply([90, 0, 0], DEG),
+        d=[0, 0, 0],
+        theta=np.multiply([0, 90, 0], DEG),
+        kinds="PRR",
+        limits=[(5, 10), (0, np.pi), (0, np.pi)],
+        base=upright,
+        convention="standard",
+        name="planar_prr",
+    )
