@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: sweep test suite long bench notebooks lint clean
+.PHONY: sweep test suite long verify bench notebooks lint clean
 
 sweep: $(VENV)/run.stamp            ## sweep a PUMA 560's workspace: a map, a picture, a summary
 	$(BIN)/ikjax sweep puma560 --spacing 0.03 --orientations 512 --out out/puma560.zarr --picture out/puma560.png
@@ -20,6 +20,9 @@ lint: $(VENV)/dev.stamp
 
 long: $(VENV)/dev.stamp             ## 10^6 goals an arm
 	$(BIN)/python -m pytest -m long -s
+
+verify: $(VENV)/run.stamp           ## every arm of the catalogue, judged on 10^6 goals
+	$(BIN)/ikjax verify -n 1e6 --out benchmarks/VERIFY.md
 
 bench: $(VENV)/rivals.stamp         ## against the rivals, on the same goals
 	$(BIN)/python benchmarks/run.py --out benchmarks/RESULTS.md --json out/bench.json

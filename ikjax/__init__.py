@@ -12,5 +12,6 @@ from ikjax.ik.solve import solve
 from ikjax.study.goals import Grid, around, even_rotations, grid
 from ikjax.study.reach import ReachMap
 from ikjax.study.sweep import sweep
+from ikjax.study.verify import verify
 
 __version__ = "0.1.0"

@@ -1,4 +1,4 @@
-"""The command `ikjax`: info, solve, sweep, show, doctor.
+"""The command `ikjax`: info, solve, sweep, show, verify, doctor.
 
 Outside the storeys: it may import everything, nothing imports it. Text for people by default, one
 JSON object with --json. Exit codes: 0 found, 1 none found or a check failed, 2 bad input.
@@ -58,6 +58,13 @@ def _size(text: str) -> float:
     return float(text)
 
 
+def _count(text: str) -> int:
+    """A whole number above zero, 1e6 too."""
+    if not (1 <= float(text) <= 1e12 and float(text).is_integer()):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of goals")
+    return int(float(text))
+
+
 def _parser() -> argparse.ArgumentParser:
     top = _Parser(prog="ikjax", description="Closed-form inverse kinematics.")
     top.add_argument("--version", action="version", version=f"ikjax {ikjax.__version__}")
@@ -95,6 +102,12 @@ def _parser() -> argparse.ArgumentParser:
     show.add_argument("map")
     show.add_argument("--picture", help="write a PNG here")
 
+    verify = command(_verify, "verify", "Solve goals made by an arm's own joints and judge every answer.")
+    verify.add_argument("arm", nargs="*", help="all of the catalogue by default")
+    verify.add_argument("-n", type=_count, default=100_000, dest="count", help="random goals an arm")
+    verify.add_argument("--out", help="write the table here, as Markdown")
+    _add_dtype(verify, "--float32")
+
     command(_doctor, "doctor", "Versions, devices, and a numeric self-check on this device.")
     return top
 
@@ -112,6 +125,27 @@ def _say(options, text: str, data: dict) -> None:
     print(json.dumps(data, allow_nan=False) if options.json else _plain(text))
 
 
+def _arm(name: str) -> ikjax.Arm:
+    """An arm of the catalogue, or of a URDF file."""
+    return ikjax.Arm.from_urdf(pathlib.Path(name)) if name.endswith(".urdf") else ikjax.robots.get(name)
+
+
+def _verify(options) -> int:
+    dtype = np.float32 if options.other_dtype else np.float64
+    reports = [
+        ikjax.verify(_arm(name), options.count, dtype=dtype) for name in options.arm or ikjax.robots.names()
+    ]
+    head = ("arm", "family", "type", "goals", "success", "wrong", "none", "missing", "singular", "worst")
+    rows = [[*map(str, report[:-1]), f"{report.worst:.1e}"] for report in reports]
+    lines = ["| " + " | ".join(row) + " |" for row in (head, ["---"] * len(head), *rows)]
+    if options.out:
+        pathlib.Path(options.out).write_text("\n".join(lines) + "\n")
+    width = [max(len(row[k]) for row in (head, *rows)) for k in range(len(head))]
+    text = ["  ".join(cell.ljust(w) for cell, w in zip(row, width, strict=True)) for row in (head, *rows)]
+    _say(options, "\n".join(text), {report.arm: report._asdict() for report in reports})
+    return 0 if all(report.wrong == report.none == 0 for report in reports) else 1
+
+
 def _info(options) -> int:
     if options.arm is None:
         arms = [ikjax.robots.get(name) for name in ikjax.robots.names()]
@@ -119,7 +153,7 @@ def _info(options) -> int:
         catalogue = {arm.name: {"kinds": arm.kinds, "family": arm.family} for arm in arms}
         _say(options, "\n".join(lines), catalogue)
         return 0
-    arm = ikjax.robots.get(options.arm)
+    arm = _arm(options.arm)
     table = {key: np.asarray(getattr(arm, key)).tolist() for key in ("a", "alpha", "d", "theta")}
     limits = [[x if np.isfinite(x) else None for x in pair] for pair in np.asarray(arm.limits).tolist()]
     data = {"name": arm.name, "kinds": arm.kinds, "family": arm.family, "branches": arm.branches}
@@ -129,12 +163,13 @@ def _info(options) -> int:
 
 def _solve(options) -> int:
     dtype = np.float32 if options.other_dtype else np.float64
-    arm = ikjax.robots.get(options.arm)
+    arm = _arm(options.arm)
     goal = ikjax.pose(options.xyz, rpy=options.rpy, wxyz=options.wxyz, dtype=dtype)
     ikjax.check_goals(arm, goal)
     sol = ikjax.solve(arm, goal, q_now=options.q_now)
     inside = ikjax.within_limits(arm, sol)
-    unit, scale = ("rad", 1.0) if options.radians else ("deg", 180 / np.pi)
+    turn = ("rad", 1.0, 4) if options.radians else ("deg", 180 / np.pi, 2)
+    units = [turn if kind == "R" else ("mm", 1000.0, 1) for kind in arm.kinds]
     rows = []
     for slot, name in enumerate(arm.branches):
         rows.append(
@@ -150,11 +185,12 @@ def _solve(options) -> int:
         )
     count, within = int(sol.valid.sum()), int(inside.valid.sum())
     lines = [f"{arm.name}: {count} of {len(rows)} branches reach the goal, {within} within the joint limits"]
-    joints = "".join(f"{f'q{i + 1} [{unit}]':>11}" for i in range(arm.n))
+    joints = "".join(f"{f'q{i} [{unit}]':>11}" for i, (unit, _, _) in enumerate(units, 1))
     lines.append(f"slot  {'branch':18} valid  limits {joints}  margin [mm]")
     for row in rows:
         marks = f"{'yes' if row['valid'] else '-':5}  {'yes' if row['within_limits'] else '-':6} "
-        joints = "".join(f"{x * scale:11.{4 if options.radians else 2}f}" for x in row["q"])
+        values = zip(row["q"], units, strict=True)
+        joints = "".join(f"{x * scale:11.{digits}f}" for x, (_, scale, digits) in values)
         note = "  one joint is arbitrary" if row["continuum"] else ""
         lines.append(
             f"{row['slot']:4}  {row['branch']:18} {marks}{joints} {1000 * row['margin']:12.1f}{note}"
@@ -184,7 +220,7 @@ def _check_places(options) -> None:
 
 def _sweep(options) -> int:
     dtype = np.float64 if options.other_dtype else np.float32
-    arm = ikjax.robots.get(options.arm)
+    arm = _arm(options.arm)
     _check_places(options)
     positions = ikjax.around(arm, options.spacing)
     if math.prod(positions.shape) >= 2**31:

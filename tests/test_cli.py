@@ -7,6 +7,7 @@ import sys
 
 import pytest
 
+import ikjax
 from ikjax import cli, robots
 
 GOAL = ["--xyz", "0.4", "0.2", "0.3", "--rpy", "3.14", "0", "0.6"]
@@ -166,3 +167,50 @@ def test_a_reader_that_leaves_early_is_no_error():
         program.stdout.close()
         assert program.wait(120) == 0
         assert b"Traceback" not in program.stderr.read()
+
+
+def test_a_slide_is_printed_in_millimetres(capsys):
+    code = cli.main(["solve", "gx4_351s", "--xyz", "0.2", "0.1", "-0.05", "--rpy", "0", "0", "0.3"])
+    out = capsys.readouterr().out
+    assert code == 0
+    assert "q3 [mm]" in out and "-50.0" in out and "q1 [deg]" in out
+
+
+def test_an_arm_can_be_a_urdf_file(capsys, tmp_path):
+    file = tmp_path / "two.urdf"
+    text = '<robot name="two"><link name="a"/><link name="b"/><link name="c"/><link name="d"/>'
+    joints = ("j1", "revolute", "a", "b"), ("j2", "revolute", "b", "c"), ("t", "fixed", "c", "d")
+    for name, kind, above, below in joints:
+        text += f'<joint name="{name}" type="{kind}"><parent link="{above}"/><child link="{below}"/>'
+        text += '<origin xyz="1 0 0"/><axis xyz="0 0 1"/>'
+        text += '<limit lower="-1" upper="1" effort="1" velocity="1"/></joint>'
+    file.write_text(text + "</robot>")
+    assert cli.main(["info", str(file)]) == 0
+    assert "planar_position" in capsys.readouterr().out
+    file.write_text("<robot")
+    assert cli.main(["info", str(file)]) == 2
+    assert "two.urdf" in capsys.readouterr().err
+
+
+def test_verify_judges_arms_and_writes_a_table(capsys, tmp_path):
+    table = tmp_path / "table.md"
+    assert cli.main(["verify", "planar_3r", "gx4_351s", "-n", "500", "--out", str(table)]) == 0
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert [row[0] for row in rows] == ["arm", "planar_3r", "gx4_351s"]
+    for row in rows[1:]:
+        assert row[3:9] == ["500", "500", "0", "0", "0", "50"]
+    assert table.read_text().startswith("| arm | family |")
+
+
+def test_verify_finds_a_wrong_answer(monkeypatch):
+    import dataclasses
+
+    from ikjax.study import verify
+
+    def lying(arm, goals):
+        sol = ikjax.solve(arm, goals)
+        return dataclasses.replace(sol, q=sol.q + 1e-3)
+
+    monkeypatch.setattr(verify, "solve", lying)
+    report = verify.verify(ikjax.robots.planar_3r(), 200)
+    assert report.wrong > 200 and report.success == 0
