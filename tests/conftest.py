@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 ROOT = pathlib.Path(__file__).parent.parent
+STATM = pathlib.Path("/proc/self/statm").exists()
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
@@ -25,3 +26,12 @@ def dtype(request):
 def rng():
     """The same random numbers in every run."""
     return np.random.default_rng(0)
+
+
+@pytest.fixture(autouse=True)
+def modest_memory():
+    """Compiled programs are let go of when a process has grown beyond three gigabytes."""
+    yield
+    pages = int(pathlib.Path("/proc/self/statm").read_text().split()[1]) if STATM else 0
+    if pages * 4096 > 3 * 2**30:
+        jax.clear_caches()

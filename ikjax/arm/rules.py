@@ -29,20 +29,30 @@ def _slots(*bits: tuple[str, str]) -> tuple[str, ...]:
 SHOULDER, ELBOW, WRIST = ("front", "back"), ("up", "down"), ("noflip", "flip")
 
 
-def _ortho_parallel_wrist(t: Table) -> Judgement:
-    checks = [
-        t.perpendicular(1),
-        t.parallel(2),
+def _spherical_wrist(t: Table) -> list[Check]:
+    return [
         t.zero("a", 4, "axes 4 and 5 meet"),
         t.zero("a", 5, "axes 5 and 6 meet"),
         t.zero("d", 5, "axes 4, 5 and 6 meet in one point"),
         t.not_parallel(4),
         t.not_parallel(5),
+    ]
+
+
+def _wrist_signs(t: Table) -> tuple[int, ...]:
+    square = int(max(abs(t.cos[3]), abs(t.cos[4])) <= t.tolerance)
+    return _sign(t.sin[3]), _sign(t.sin[4]), square
+
+
+def _ortho_parallel_wrist(t: Table) -> Judgement:
+    checks = [
+        t.perpendicular(1),
+        t.parallel(2),
+        *_spherical_wrist(t),
         t.apart("axes 2 and 3 apart", t.a[1]),
         t.apart("the wrist stands off axis 3", np.hypot(t.a[2], t.d[3] * t.sin[2])),
     ]
-    square = int(max(abs(t.cos[3]), abs(t.cos[4])) <= t.tolerance)
-    signs = (t.up, *map(_sign, (t.sin[0], t.cos[1], t.sin[3], t.sin[4])), square)
+    signs = (t.up, *map(_sign, (t.sin[0], t.cos[1])), *_wrist_signs(t))
     return checks, signs, _slots(SHOULDER, ELBOW, WRIST)
 
 
@@ -59,21 +69,6 @@ def _three_parallel(t: Table) -> Judgement:
     ]
     signs = (t.up, *map(_sign, (t.sin[0], t.cos[1], t.cos[2], t.sin[3], t.sin[4])))
     return checks, signs, _slots(SHOULDER, ELBOW, WRIST)
-
-
-def _spherical_wrist(t: Table) -> list[Check]:
-    return [
-        t.zero("a", 4, "axes 4 and 5 meet"),
-        t.zero("a", 5, "axes 5 and 6 meet"),
-        t.zero("d", 5, "axes 4, 5 and 6 meet in one point"),
-        t.not_parallel(4),
-        t.not_parallel(5),
-    ]
-
-
-def _wrist_signs(t: Table) -> tuple[int, ...]:
-    square = int(max(abs(t.cos[3]), abs(t.cos[4])) <= t.tolerance)
-    return _sign(t.sin[3]), _sign(t.sin[4]), square
 
 
 def _pieper(t: Table) -> Judgement:
@@ -99,13 +94,8 @@ def _pieper_reversed(t: Table) -> Judgement:
 
 def _position(t: Table) -> Judgement:
     how = _split(t)
-    checks = [t.moves_in_space(_tip(t))]
+    checks = [t.moves_in_space(t.tool)]
     return checks, (how,), _slots(*_regional_bits(t.kinds, how))
-
-
-def _tip(t: Table) -> np.ndarray:
-    """The tool point in the frame after joint 3: `tool` stands beyond the last link, which is in it."""
-    return t.tool
 
 
 def _split(t: Table) -> str:

@@ -213,7 +213,7 @@ def _polished(polynomial: Harmonics, sine: Scalar, cosine: Scalar, steps: int = 
     for _ in range(steps):
         value, slope = harmonics_at(polynomial, sine, cosine)
         step = -safe.divide(value, slope)
-        step = jnp.where(abs(step) < 0.01, step, 0)
+        step = jnp.where(abs(step) < jnp.finfo(step.dtype).eps ** 0.25, step, 0)
         sine, cosine = sine + step * cosine, cosine - step * sine
         size = safe.reciprocal_sqrt(sine * sine + cosine * cosine)
         sine, cosine = sine * size, cosine * size

@@ -8,7 +8,8 @@ singularity, where an angle is made of rounding errors, two roundings of one ang
 together. So the kernel is written down twice: free for the masks, and with its shared values held
 for everything else. Whichever is not used is dropped. A square root near zero makes half the digits
 noise, and noise of two roundings would not fit together: such roots are computed once for both, from
-a third writing down of which nothing else is kept.
+a third writing down of which nothing else is kept. A kernel that is too large for one loop is written
+down once, held.
 """
 
 import jax
@@ -17,6 +18,7 @@ import jax.numpy as jnp
 from ikjax.arm.arm import Arm
 from ikjax.core.pose import Pose
 from ikjax.ik.solutions import Solutions
+from ikjax.solvers import FAMILIES
 from ikjax.solvers.branch import in_bits
 from ikjax.solvers.family import Slot, clean, reach, solve_scalars
 
@@ -58,9 +60,16 @@ def opaque_one(like: jax.Array) -> jax.Array:
     return jnp.where(like == like, 1, 2).astype(like.dtype)
 
 
+def is_small(arm: Arm) -> bool:
+    """Whether the arm's kernel can be one fused loop."""
+    return FAMILIES[str(arm.family)].small and arm.correction is None
+
+
 def solve_here(arm: Arm, goals: jax.Array, q_now, tolerance) -> Solutions:
     """`Solutions` as a plain elementwise graph."""
     entries, hold = entries_of(goals), holder(goals[..., 0, 3])
+    if not is_small(arm):
+        return gathered(slots_of(arm, entries, q_now, tolerance, hold=hold), goals.shape[:-2])
     roots: list[jax.Array] = []
 
     def record(root):

@@ -12,8 +12,10 @@ Steps:
 2. Joint 2 from g and h: unique after a quartic, else two.
 3. Joint 1 from the point and g, unique.
 
-Bits: after a quartic, whether it rises or falls in joint 3 at the root, then the order of the two
-from -pi. Otherwise the sign of the derivative of each equation at its root, first joint 3, then joint 2.
+Bits: after a quartic, whether it rises or falls in joint 3 at the root, which after two turning joints is
+the sign of the determinant of the three joints' motions and changes at folds only; then the order of
+the two from -pi, where they may swap. Otherwise the sign of the derivative of each equation at its
+root, first joint 2, then joint 3.
 
 Source: Pieper, The kinematics of manipulators under computer control (1968), after Craig,
 Introduction to Robotics, 3rd ed., section 4.6; sliding joints and the elimination in circle form are ours.
@@ -34,9 +36,6 @@ from ikjax.solvers.branch import Joints, Setting, Slide, placed
 
 POLISH = 2
 """Newton steps at the end."""
-
-LARGEST_STEP = 0.05
-"""A larger one [rad, or reaches] is not the correction of a small error."""
 
 
 class Regional(NamedTuple):
@@ -163,8 +162,9 @@ def _polished(chain: Chain, point: Vector, wanted: Vector, way: Regional, settin
     for _ in range(POLISH):
         steps = _newton(chain.links, joints, point, wanted)
         size = functools.reduce(jnp.maximum, (abs(step) for step in steps))
-        # Near a fold the step is noise, and the joints are as good as they get.
-        steps = tuple(setting.hold(jnp.where(size < LARGEST_STEP, step, 0)) for step in steps)
+        # A larger step is not the correction of a small error: it would lead to another branch.
+        small = size < jnp.finfo(size.dtype).eps ** 0.25
+        steps = tuple(setting.hold(jnp.where(small, step, 0)) for step in steps)
         joints = tuple(map(_moved, joints, steps))
     held = tuple(j if isinstance(j, Slide) else setting.angle(j.sin, j.cos) for j in joints)
     return way._replace(joints=held)

@@ -23,7 +23,6 @@ the offsets, the signs and the singular rule are ours.
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 
 from ikjax.arm.forward import Joint, Link, unwind
@@ -60,7 +59,7 @@ def branches(
         links_up = Links(two.a, three.a, hand, one.a)
         pitch = _pitch(seen, links_up, s5 * t5_side, pitch_now, setting)
         t1 = _turned_on(base.turn, s1, pitch.on, setting)
-        seen = jax.tree.map(setting.hold, _seen_turned(seen, one.a, pitch.on))
+        seen = _seen_turned(seen, one.a, pitch.on, setting)
         v, _, n = vector.transpose(seen.rotation)
         t5_sin = t5_side * vector.norm((n[0], n[1], 0.0))
         t5_cos = -c23 * s4 * s5 * n[2]
@@ -173,17 +172,20 @@ def _turned_on(t1: Angle, s1: int, on: SinCos, setting: Setting) -> Angle:
     return setting.angle(t1.sin * cosine + t1.cos * sine, t1.cos * cosine - t1.sin * sine)
 
 
-def _seen_turned(seen: Pose, a1: Scalar, on: SinCos) -> Pose:
+def _seen_turned(seen: Pose, a1: Scalar, on: SinCos, setting: Setting) -> Pose:
     """The goal seen from frame 1 after joint 1 is turned on: all turns back about y1, through axis 1."""
     sine, cosine = on
 
     def back(v):
-        return (v[0] * cosine - v[2] * sine, v[1], v[0] * sine + v[2] * cosine)
+        turned = (v[0] * cosine - v[2] * sine, v[1], v[0] * sine + v[2] * cosine)
+        return tuple(map(setting.hold, turned))
 
-    columns = (back(column) for column in vector.transpose(seen.rotation))
+    ahead, _, along = vector.transpose(seen.rotation)
+    ahead, along = back(ahead), back(along)
     x, y, z = seen.position
     x, y, z = back((x + a1, y, z))
-    return Pose(vector.transpose(tuple(columns)), (x - a1, y, z))
+    # The third column is cheaper to make again than to hold.
+    return Pose(vector.transpose((ahead, vector.cross(along, ahead), along)), (x - a1, y, z))
 
 
 def _whole_pitch(now: tuple[Angle, ...], c2: int, c23: int) -> Angle:

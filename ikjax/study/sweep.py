@@ -18,6 +18,7 @@ import numpy as np
 from ikjax.arm.arm import Arm
 from ikjax.core.pose import Pose
 from ikjax.ik.blocks import wide_vectors
+from ikjax.ik.graph import holder, is_small
 from ikjax.ik.solve import check_family
 from ikjax.solvers.family import TOLERANCE, Slot, solve_scalars
 from ikjax.study.goals import Grid, even_rotations
@@ -136,7 +137,8 @@ def _compile_unit(arm: Arm, positions: Grid, rotations: np.ndarray, dtype) -> Ca
             rotation, real = rotation_and_real
             r = [rotation[:, k].reshape(1, width) for k in range(9)]
             goal = Pose((tuple(r[0:3]), tuple(r[3:6]), tuple(r[6:9])), place)
-            return statistic(arm, solve_scalars(arm, goal), real)
+            hold = None if is_small(arm) else holder(r[0] + place[0])
+            return statistic(arm, solve_scalars(arm, goal, hold=hold), real)
 
         return jax.lax.map(tile, (table, real))
 
