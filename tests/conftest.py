@@ -1,5 +1,6 @@
 """Both precisions, no silent promotion, and compiled programs kept from run to run."""
 
+import gc
 import pathlib
 
 import jax
@@ -7,7 +8,6 @@ import numpy as np
 import pytest
 
 ROOT = pathlib.Path(__file__).parent.parent
-STATM = pathlib.Path("/proc/self/statm").exists()
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
@@ -30,8 +30,19 @@ def rng():
 
 @pytest.fixture(autouse=True)
 def modest_memory():
-    """Compiled programs are let go of when a process has grown beyond three gigabytes."""
+    """Compiled programs are let go of whenever a process has grown by two gigabytes."""
     yield
-    pages = int(pathlib.Path("/proc/self/statm").read_text().split()[1]) if STATM else 0
-    if pages * 4096 > 3 * 2**30:
+    if _size() > MEMORY["limit"]:
         jax.clear_caches()
+        gc.collect()
+        MEMORY["limit"] = _size() + GROWTH
+
+
+GROWTH = 2 * 2**30
+MEMORY = {"limit": 2 * GROWTH}
+
+
+def _size() -> int:
+    """Bytes that this process holds, where that can be asked."""
+    statm = pathlib.Path("/proc/self/statm")
+    return int(statm.read_text().split()[1]) * 4096 if statm.exists() else 0

@@ -64,6 +64,30 @@ def recognise(
         raise ValueError("from_dh with traced lengths needs family=, one of " + ", ".join(RULES))
     if family is not None and family not in RULES:
         raise ValueError(f"family must be one of {', '.join(RULES)}, got {family!r}")
+    table = _table(kinds, numbers, up, tolerance)
+    seen: dict[str, tuple[Check, ...]] = {}
+    for name, rule in RULES.items():
+        if family not in (None, name):
+            continue
+        if not re.fullmatch(rule.kinds, kinds):
+            seen[name] = (Check(f"it wants joints {rule.joints}", np.inf, False),)
+            continue
+        checks, signs, branches = rule.judge(table)
+        seen[name] = tuple(checks)
+        if all(check.holds for check in checks):
+            return Verdict(name, signs, branches, rule.task, seen)
+    if family is not None:
+        raise ValueError(f"the arm is not of family {family}: {describe(seen[family])}")
+    return Verdict(None, (), (), "pose", seen)
+
+
+def evidence(kinds: str, numbers: dict, family: str, tolerance: float) -> tuple[Check, ...]:
+    """What was checked for one family, whether it holds or not; arguments as in `recognise`."""
+    return tuple(RULES[family].judge(_table(kinds, numbers, 1, tolerance))[0])
+
+
+def _table(kinds: str, numbers: dict, up: int, tolerance: float) -> Table:
+    traced = any(isinstance(numbers[key], jax.core.Tracer) for key in ("a", "d"))
     zeros = np.zeros(len(kinds))
 
     def column(name):
@@ -72,7 +96,7 @@ def recognise(
 
     alpha = column("alpha")
     lengths = {"a": zeros, "d": zeros} if traced else {"a": column("a"), "d": column("d")}
-    table = Table(
+    return Table(
         kinds=kinds,
         sin=np.sin(alpha),
         cos=np.cos(alpha),
@@ -83,20 +107,6 @@ def recognise(
         tolerance=tolerance,
         up=up,
     )
-    evidence: dict[str, tuple[Check, ...]] = {}
-    for name, rule in RULES.items():
-        if family not in (None, name):
-            continue
-        if not re.fullmatch(rule.kinds, kinds):
-            evidence[name] = (Check(f"it wants joints {rule.joints}", np.inf, False),)
-            continue
-        checks, signs, branches = rule.judge(table)
-        evidence[name] = tuple(checks)
-        if all(check.holds for check in checks):
-            return Verdict(name, signs, branches, rule.task, evidence)
-    if family is not None:
-        raise ValueError(f"the arm is not of family {family}: {describe(evidence[family])}")
-    return Verdict(None, (), (), "pose", evidence)
 
 
 def _tool_point(numbers: dict) -> np.ndarray:

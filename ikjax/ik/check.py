@@ -80,10 +80,18 @@ def explain(arm: Arm) -> str:
     rule = structure.RULES[arm.family]
     lines = [f"{arm.name} is solved by {arm.family}: {rule.summary}.", "Because:"]
     numbers = {key: np.asarray(getattr(arm, key)) for key in ("a", "alpha", "d", "theta", "tool")}
-    verdict = structure.recognise(arm.kinds, numbers, tolerance=structure.tolerance_of(arm.dtype))
-    for check in verdict.evidence.get(arm.family, ()):
+    checks = structure.evidence(arm.kinds, numbers, arm.family, structure.tolerance_of(arm.dtype))
+    for check in checks:
         mark = "yes" if check.holds else "NO"
         lines.append(f"  {mark:3} {check.fact}: {check.deviation:.2g}")
+    if arm.correction is not None:
+        off = np.abs(np.asarray(arm.correction, float))
+        lines.append(
+            f"As given, its axes are off by up to {off[:, 3:].max():.2g} rad and {off[:, :3].max():.2g} m; "
+            "solve answers for the arm as given."
+        )
+    if arm.coupling is not None:
+        lines.append("Joints are coupled: q holds motor values.")
     lines.append(f"Branches ({len(arm.branches)}):")
     lines += [f"  {slot}  {name}" for slot, name in enumerate(arm.branches)]
     return "\n".join(lines)
