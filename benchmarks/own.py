@@ -1,7 +1,9 @@
 """Our own rows: the kernel alone, `solve` eager, `solve` inside a user's jit, and the sweep."""
 
 import dataclasses
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 
 import check
 import clock
@@ -15,6 +17,8 @@ from ikjax.ik.blocks import wide_vectors
 from ikjax.solvers.family import TOLERANCE, solve_scalars
 
 BLOCK = 8192
+CORES = os.cpu_count() or 1
+THREADS = ThreadPoolExecutor(CORES)
 """Goals in a block of the kernel row."""
 
 
@@ -40,7 +44,8 @@ class Batch:
 
     @staticmethod
     def of(arm: ikjax.Arm, count: int) -> "Batch":
-        return Batch(arm, *check.random_goals(arm, -(-count // BLOCK) * BLOCK))
+        unit = BLOCK * CORES
+        return Batch(arm, *check.random_goals(arm, -(-count // unit) * unit))
 
     def judge(self, goals, answers, given) -> check.Tally:
         tolerance = TOLERANCE[np.dtype(goals.dtype).name]
@@ -48,12 +53,18 @@ class Batch:
 
 
 def kernel(batch: Batch, dtype: str, runs: int) -> Measured:
-    """(b) Twelve component arrays in; every slot's q and valid out, an array a component."""
+    """(b) Twelve component arrays in; every slot's q and valid out, an array a component.
+
+    One program on as many threads as there are cores, each with its part of the goals, as `ikjax.solve` does.
+    """
     arm = batch.arm.astype(dtype).baked()
     goals = batch.goals.astype(dtype)
     entries = [goals[:, i, j] for i in range(3) for j in range(4)]
-    numbers = tuple(jnp.asarray(entry.reshape(-1, BLOCK)) for entry in entries)
-    one = jnp.ones((), dtype)
+    parts = [
+        tuple(jnp.asarray(half.reshape(-1, BLOCK)) for half in part)
+        for part in zip(*(np.split(entry, CORES) for entry in entries), strict=True)
+    ]
+    one, numbers = jnp.ones((), dtype), parts[0]
 
     def every_slot(numbers, one):
         def block(n):
@@ -66,11 +77,15 @@ def kernel(batch: Batch, dtype: str, runs: int) -> Measured:
 
     jitted = jax.jit(every_slot, compiler_options=wide_vectors())
     compiled, compile_seconds = clock.once(lambda: jitted.lower(numbers, one).compile())
-    call = clock.blocking(lambda: compiled(numbers, one))
+
+    def call():
+        return list(THREADS.map(lambda part: jax.block_until_ready(compiled(part, one)), parts))
+
+    call()
     timing = clock.measure(call, runs)
-    slots = call()
-    answers = np.stack([np.stack([np.asarray(x).reshape(-1) for x in q], -1) for q, _ in slots], 1)
-    given = np.stack([np.asarray(valid).reshape(-1) for _, valid in slots], 1)
+    whole = jax.tree.map(lambda *halves: np.concatenate([np.ravel(x) for x in halves]), *call())
+    answers = np.stack([np.stack(q, -1) for q, _ in whole], 1)
+    given = np.stack([valid for _, valid in whole], 1)
     return Measured(timing, compile_seconds, "lower and compile", batch.judge(goals, answers, given))
 
 
