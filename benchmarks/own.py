@@ -17,9 +17,10 @@ from ikjax.ik.blocks import wide_vectors
 from ikjax.solvers.family import TOLERANCE, solve_scalars
 
 BLOCK = 8192
+"""Goals in a block of the kernel row."""
+
 CORES = os.cpu_count() or 1
 THREADS = ThreadPoolExecutor(CORES)
-"""Goals in a block of the kernel row."""
 
 
 @dataclasses.dataclass(frozen=True)
