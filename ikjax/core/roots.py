@@ -136,7 +136,7 @@ def circle_quartic(
     inflection = b / 3
     height = ((inflection - b) * inflection + c) * inflection - d
     bend = safe.sqrt((inflection * b - c) / 3)
-    # A bound from the left, close enough for Newton's steps to halve what is wrong at least.
+    # A bound from the left. Newton's steps cannot pass the root from there, because the curve bends down.
     n = jnp.maximum(inflection - 2 * jnp.maximum(bend, _above_cube_root(height / 2)), 0)
     for _ in range(steps):
         value = ((n - b) * n + c) * n - d
@@ -179,8 +179,10 @@ def circle_quartic(
                 sine * half_cos + cosine * half_sin,
                 cosine * half_cos - sine * half_sin,
             )
-            sine, cosine = _polished(polynomial, keep(sine), keep(cosine))
-            found.append(CircleRoot(sine, cosine, root.margin >= 0))
+            # Near another root, what is left of a complex pair would be led to that one.
+            real = root.margin >= 0
+            sine, cosine = _polished(polynomial, keep(sine), keep(cosine), real)
+            found.append(CircleRoot(sine, cosine, real))
 
     def kept(pair: list[CircleRoot]) -> tuple[CircleRoot, CircleRoot]:
         low, high = (CircleRoot(keep(r.sin), keep(r.cos), r.real) for r in _in_order(*pair))
@@ -193,7 +195,7 @@ _SQRT2 = 2**0.5
 
 
 def _above_cube_root(x: jax.Array) -> jax.Array:
-    """The cube root of a positive number or a little more, up to 14 %, from the bits of its exponent."""
+    """The cube root of a positive number or a little more, up to 7 %, from the bits of its exponent."""
     clipped = jnp.clip(x, 1e-30, 1e30).astype(jnp.float32)
     bits = jax.lax.bitcast_convert_type(clipped, jnp.int32).astype(jnp.float32)
     third = (bits * np.float32(1 / 3) + np.float32(0x2A571100)).astype(jnp.int32)
@@ -208,12 +210,12 @@ def harmonics_at(polynomial: Harmonics, sine: Scalar, cosine: Scalar) -> tuple[S
     return value, 2 * (v * double_cos - u * double_sin + y * cosine - x * sine)
 
 
-def _polished(polynomial: Harmonics, sine: Scalar, cosine: Scalar, steps: int = 2) -> SinCos:
+def _polished(polynomial: Harmonics, sine: Scalar, cosine: Scalar, real: jax.Array, steps: int = 2) -> SinCos:
     """A root after Newton steps, none of them larger than the error it had to start with."""
     for _ in range(steps):
         value, slope = harmonics_at(polynomial, sine, cosine)
         step = -safe.divide(value, slope)
-        step = jnp.where(abs(step) < jnp.finfo(step.dtype).eps ** 0.25, step, 0)
+        step = jnp.where(real & (abs(step) < jnp.finfo(step.dtype).eps ** 0.25), step, 0)
         sine, cosine = sine + step * cosine, cosine - step * sine
         size = safe.reciprocal_sqrt(sine * sine + cosine * cosine)
         sine, cosine = sine * size, cosine * size

@@ -5,6 +5,7 @@ them once.
 Source: damped least squares; Wampler (1986), Nakamura and Hanafusa (1986).
 """
 
+import functools
 from typing import NamedTuple
 
 import jax
@@ -17,13 +18,13 @@ from ikjax.core.linear import solve_symmetric
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Angle, Scalar
 from ikjax.core.vector import Vector
-from ikjax.solvers.branch import Branch, Joints, Setting, Slide, placed
+from ikjax.solvers.branch import Branch, Joints, Setting, Slide, moved_on, placed
 
-STEPS = 10
+STEPS = 8
 """Three bring an arm that is off by a hundredth to 1e-4, 1e-8, 1e-16; more are for goals near a fold."""
 
 LARGEST_STEP = 0.3
-"""A larger one [rad, or reaches] is not the correction of a small error."""
+"""The largest move of a joint in one step [rad, or reaches]."""
 
 
 class Given(NamedTuple):
@@ -53,11 +54,24 @@ def polished(
         The slots, and for each the squared distance of the tool points and the squared Frobenius norm of
         the difference of the rotations.
     """
-    joints = tuple(_stacked(column) for column in zip(*(slot.joints for slot in slots), strict=True))
+    start = tuple(_stacked(column) for column in zip(*(slot.joints for slot in slots), strict=True))
     goal = Pose(*(_lifted(part) for part in goal))
-    joints = jax.lax.fori_loop(
-        0, STEPS, lambda _, joints: _step(given, joints, goal, turning, setting), joints
-    )
+
+    def step(_, joints: Joints) -> Joints:
+        return _step(given, joints, goal, turning, setting)
+
+    def stage(_, joints: Joints) -> Joints:
+        # Two answers near a fold lie on both sides of it: who came to another's answer tries the other side.
+        twin, _ = _claimed(start, joints)
+        joints = _where(twin, tuple(map(_mirrored, start, joints)), joints)
+        return jax.lax.fori_loop(0, STEPS, step, joints)
+
+    joints = jax.lax.fori_loop(0, 2, stage, start)
+    # Slots that meet at a fold keep their answer both. From farther off it is another's: near a fold an
+    # error counts by its square root.
+    claimed, moved = _claimed(start, joints)
+    short = float(jnp.finfo(moved.dtype).eps) ** 0.25 + 4 * safe.sqrt(32 * setting.off)
+    joints = _where(claimed & (moved > short), start, joints)
     reached, _ = _walk(given, joints)
     slip = tuple(map(vector.subtract, reached.rotation, goal.rotation))
     gap = _gap(given, reached, goal, slip)
@@ -73,14 +87,50 @@ def polished(
     return tuple(answers), [gap_squared[k] for k in count], [turn_squared[k] for k in count]
 
 
-def _stacked(column: tuple[Angle | Slide, ...]) -> Angle | Slide:
-    def stack(values):
-        return jnp.stack(jnp.broadcast_arrays(*values))
+def _stack(values) -> jax.Array:
+    return jnp.stack(jnp.broadcast_arrays(*values))
 
+
+def _stacked(column: tuple[Angle | Slide, ...]) -> Angle | Slide:
     if isinstance(column[0], Slide):
-        return Slide(stack([joint.value for joint in column]))
-    sine, cosine = (stack([getattr(joint, name) for joint in column]) for name in ("sin", "cos"))
+        return Slide(_stack([joint.value for joint in column]))
+    sine, cosine = (_stack([getattr(joint, name) for joint in column]) for name in ("sin", "cos"))
     return Angle(sine, cosine, ())
+
+
+def _claimed(start: Joints, joints: Joints) -> tuple[jax.Array, jax.Array]:
+    """Which slots came to an answer that another had less far to, and how far each slot moved."""
+    moved = _apart(start, joints)
+    close = 32 * float(jnp.finfo(moved.dtype).eps) ** 0.5
+    places = jnp.arange(moved.shape[0]).reshape(-1, *[1] * (moved.ndim - 1))
+
+    def against(k, claimed: jax.Array) -> jax.Array:
+        other, other_moved = jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, k, 1), (joints, moved))
+        nearer = (other_moved < moved) | ((other_moved == moved) & (k < places))
+        return claimed | (nearer & (_apart(joints, other) < close))
+
+    return jax.lax.fori_loop(0, moved.shape[0], against, jnp.zeros(moved.shape, bool)), moved
+
+
+def _where(condition: jax.Array, yes: Joints, no: Joints) -> Joints:
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)
+
+
+def _mirrored(start: Angle | Slide, joint: Angle | Slide) -> Angle | Slide:
+    """As far on the other side of the start."""
+    if isinstance(start, Slide) or isinstance(joint, Slide):
+        return Slide(2 * start.value - joint.value)
+    sine, cosine = 2 * start.sin * start.cos, start.cos * start.cos - start.sin * start.sin
+    return Angle(sine * joint.cos - cosine * joint.sin, cosine * joint.cos + sine * joint.sin, ())
+
+
+def _apart(first: Joints, last: Joints) -> jax.Array:
+    """The largest difference of two sets of joints [rad, or reaches]; of angles the chord."""
+    return functools.reduce(jnp.maximum, map(_difference, first, last))
+
+
+def _difference(first: Angle | Slide, last: Angle | Slide) -> jax.Array:
+    return safe.norm(*(a - b for a, b in zip(jax.tree.leaves(last), jax.tree.leaves(first), strict=True)))
 
 
 def _lifted(part):
@@ -135,18 +185,8 @@ def _step(given: Given, joints: Joints, goal: Pose, turning: bool, setting: Sett
     for step in steps[1:]:
         size = jnp.maximum(size, abs(step))
     shrink = jnp.where(size > LARGEST_STEP, LARGEST_STEP / jnp.maximum(size, LARGEST_STEP), 1)
-    return tuple(_moved(joint, step * shrink) for joint, step in zip(joints, steps, strict=True))
+    return tuple(moved_on(joint, step * shrink) for joint, step in zip(joints, steps, strict=True))
 
 
 def _dot(u, v) -> Scalar:
     return sum(a * b for a, b in zip(u, v, strict=True))
-
-
-def _moved(joint: Angle | Slide, step: Scalar) -> Angle | Slide:
-    if isinstance(joint, Slide):
-        return Slide(joint.value + step)
-    # Second order, and back onto the circle.
-    less = 1 - step * step / 2
-    sine, cosine = joint.sin * less + joint.cos * step, joint.cos * less - joint.sin * step
-    size = safe.reciprocal_sqrt(sine * sine + cosine * cosine)
-    return Angle(sine * size, cosine * size, ())
