@@ -149,7 +149,7 @@ def _verify(options) -> int:
 def _info(options) -> int:
     if options.arm is None:
         arms = [ikjax.robots.get(name) for name in ikjax.robots.names()]
-        lines = [f"{arm.name:20} {arm.kinds}  {arm.family}" for arm in arms]
+        lines = [f"{arm.name:20} {arm.kinds:7} {arm.family}" for arm in arms]
         catalogue = {arm.name: {"kinds": arm.kinds, "family": arm.family} for arm in arms}
         _say(options, "\n".join(lines), catalogue)
         return 0

@@ -118,10 +118,12 @@ class Arm:
         leaves["correction"] = dh.check_correction(correction, n)
         if tolerance is None:
             return _built(kinds, leaves, family, up, name, dtype)
-        frames = dh.frames(kinds, columns)
-        given = Axes(kinds, frames[:-1, :3, 2], frames[:-1, :3, 3], frames[-1] @ tool)
         if correction is not None:
             raise ValueError("correction is what tolerance= finds: give one or the other")
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves.values()):
+            raise ValueError("tolerance= needs concrete numbers: build the arm outside jit")
+        frames = dh.frames(kinds, columns)
+        given = Axes(kinds, frames[:-1, :3, 2], frames[:-1, :3, 3], frames[-1] @ tool)
         return _nearest(given, leaves, tolerance, family, up, name, dtype)
 
     @staticmethod

@@ -35,6 +35,17 @@ def placed(link: Link, joint: Angle | Slide) -> Joint:
     return Joint(joint.sin, joint.cos, link.d)
 
 
+def moved_on(joint: Angle | Slide, step: Scalar) -> Angle | Slide:
+    """The joint after a small step, without its angle's value."""
+    if isinstance(joint, Slide):
+        return Slide(joint.value + step)
+    # Second order, and back onto the circle.
+    less = 1 - step * step / 2
+    sine, cosine = joint.sin * less + joint.cos * step, joint.cos * less - joint.sin * step
+    size = safe.reciprocal_sqrt(sine * sine + cosine * cosine)
+    return Angle(sine * size, cosine * size, ())
+
+
 class Setting(NamedTuple):
     """What a family's kernel needs besides the arm and the goal."""
 
@@ -64,6 +75,28 @@ class Setting(NamedTuple):
     def angle(self, sine: Scalar, cosine: Scalar) -> Angle:
         """The angle of a sine and a cosine, held."""
         return angle(self.hold(sine), self.hold(cosine))
+
+    def filled(self, joint: int, free: jax.Array, sine: Scalar, cosine: Scalar) -> Angle:
+        """The angle of a sine and a cosine, or the joint's own where it is arbitrary."""
+        now = self.now[joint]
+        return self.angle(jnp.where(free, now.sin, sine), jnp.where(free, now.cos, cosine))
+
+    def between(
+        self, joint: int, before: tuple[Scalar, Scalar], after: tuple[Scalar, Scalar], sign: int = 1
+    ) -> tuple[Angle, jax.Array]:
+        """The joint that turns one vector of a plane to the direction of another, and whether any does.
+
+        Args:
+            joint: Which one fills the angle where a vector is zero.
+            before, after: The vectors.
+            sign: -1 where the joint's axis points down from the plane.
+        """
+        (u, v), (x, y) = before, after
+        sine, cosine = u * y - v * x, u * x + v * y
+        free = (u * u + v * v <= self.tiny**2) | (x * x + y * y <= self.tiny**2)
+        weight = safe.reciprocal_sqrt(sine * sine + cosine * cosine)
+        free |= weight == 0
+        return self.filled(joint, free, sign * sine * weight, cosine * weight), free
 
     def unwind(self, goal: Pose, links: tuple[Link, ...], joints: Joints) -> Pose:
         """The goal seen from the frame after the first links, held."""

@@ -33,8 +33,8 @@ from ikjax.core.trig import Angle, Scalar
 from ikjax.core.vector import Vector
 from ikjax.solvers.branch import Branch, Setting
 from ikjax.solvers.planar import Plane, heading_of, three_joints
-from ikjax.solvers.regional import clearance
 from ikjax.solvers.screws import Axis, axes_of, component, pose_turned, seen_from, turned
+from ikjax.solvers.third_joint import clearance
 
 
 class Equation(NamedTuple):
@@ -53,6 +53,8 @@ class Pair(NamedTuple):
     first: Angle
     second: Angle
     margin: Scalar
+    free: Scalar = False
+    """One of them is arbitrary."""
 
 
 def branches(signs: tuple, links: tuple[Link, ...], goal: Pose, setting: Setting) -> tuple[Branch, ...]:
@@ -110,7 +112,7 @@ def _inner(axes, tip: Pose, goal: Pose, splits: int, along, setting: Setting):
         hand = pose_turned(five, b.sin, b.cos, pose_turned(six, c.sin, c.cos, tip))
         for way in _planar(axes[1:4], hand, rest, along, setting, 1):
             joints = (a, *way.joints, b, c)
-            answers.append((joints, jnp.minimum(pair.margin, way.margin), free | way.continuum))
+            answers.append((joints, jnp.minimum(pair.margin, way.margin), pair.free | free | way.continuum))
     return answers
 
 
@@ -143,7 +145,7 @@ def _last(axes, tip: Pose, goal: Pose, splits: int, along, setting: Setting):
         rest = pose_turned(three, -b.sin, b.cos, rest)
         for way in _planar(axes[3:], tip, rest, along, setting, 3):
             joints = (a, c, b, *way.joints)
-            answers.append((joints, jnp.minimum(pair.margin, way.margin), free | way.continuum))
+            answers.append((joints, jnp.minimum(pair.margin, way.margin), pair.free | free | way.continuum))
     return answers
 
 
@@ -177,14 +179,12 @@ def _turn_to(
     axis: Axis, before: Vector, after: Vector, joint: int, setting: Setting, backwards: bool = False
 ):
     """The joint that turns one direction to another about its axis."""
-    now = setting.now[joint]
     cosine, sine, _ = component(after, axis.along, before)
     sine = -sine if backwards else sine
     size = sine * sine + cosine * cosine
     free = size <= setting.tiny**2
     weight = safe.reciprocal_sqrt(size)
-    turn = setting.angle(jnp.where(free, now.sin, sine * weight), jnp.where(free, now.cos, cosine * weight))
-    return turn, free
+    return setting.filled(joint, free, sine * weight, cosine * weight), free
 
 
 def _pairs(equations: tuple[Equation, Equation], splits: int, joints, setting: Setting) -> list[Pair]:
@@ -235,15 +235,10 @@ def _split_pairs(one: Equation, two: Equation, joints, setting: Setting) -> list
     pairs = []
     for side in (1, -1):
         root = cosine_sine(alone[0], alone[1], alone[4], side, noise=setting.noise, root=setting.root)
-        first = _filled(root, setting, joints[0])
+        first = setting.filled(joints[0], root.free, root.sin, root.cos)
         rest = with_b[4] - with_b[0] * first.cos - with_b[1] * first.sin
         for side_b in (1, -1):
             deep = cosine_sine(with_b[2], with_b[3], rest, side_b, noise=setting.noise, root=setting.root)
-            second = _filled(deep, setting, joints[1])
-            pairs.append(Pair(first, second, jnp.minimum(root.margin, deep.margin)))
+            second = setting.filled(joints[1], deep.free, deep.sin, deep.cos)
+            pairs.append(Pair(first, second, jnp.minimum(root.margin, deep.margin), root.free | deep.free))
     return pairs
-
-
-def _filled(root, setting: Setting, joint: int) -> Angle:
-    now = setting.now[joint]
-    return setting.angle(jnp.where(root.free, now.sin, root.sin), jnp.where(root.free, now.cos, root.cos))

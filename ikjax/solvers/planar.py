@@ -179,7 +179,7 @@ def _turn_slide(c, u, sign, where, tip, setting) -> tuple[Way, ...]:
     ways = []
     for side in (1, -1):
         q = setting.hold(side * root - along)
-        turn, free = _turn_between((arm[0] + u[0] * q, arm[1] + u[1] * q), gap, sign, setting, 0)
+        turn, free = setting.between(0, (arm[0] + u[0] * q, arm[1] + u[1] * q), gap, sign)
         ways.append(Way((turn, Slide(q)), margin, free))
     return tuple(ways)
 
@@ -189,7 +189,7 @@ def _slide_turn(c, u, sign, where, tip, setting) -> tuple[Way, ...]:
     arm, gap = _minus(tip, c), _minus(where, c)
     ways = []
     for q, margin in _line_and_circle(u, gap, _dot(arm, arm), setting):
-        turn, free = _turn_between(arm, (gap[0] - u[0] * q, gap[1] - u[1] * q), sign, setting, 1)
+        turn, free = setting.between(1, arm, (gap[0] - u[0] * q, gap[1] - u[1] * q), sign)
         ways.append(Way((Slide(q), turn), margin, free))
     return tuple(ways)
 
@@ -201,7 +201,7 @@ def _slide_last(c, u, signs, heading, where, tip, setting) -> tuple[Way, ...]:
     u = _turned(heading, u)
     ways = []
     for q, margin in _line_and_circle(u, gap, _dot(link, link), setting):
-        first, free = _turn_between(link, (gap[0] - u[0] * q, gap[1] - u[1] * q), signs[0], setting, 0)
+        first, free = setting.between(0, link, (gap[0] - u[0] * q, gap[1] - u[1] * q), signs[0])
         rest = _sum(heading, (-signs[0] * first.sin, first.cos))
         ways.append(Way((first, setting.angle(signs[1] * rest[0], rest[1]), Slide(q)), margin, free))
     return tuple(ways)
@@ -231,20 +231,6 @@ def _along(gap: Point, u: Point, v: Point) -> Point:
     """gap = p u + q v."""
     weight = safe.divide(1, _cross(u, v))
     return _cross(gap, v) * weight, _cross(u, gap) * weight
-
-
-def _turn_between(before: Point, after: Point, sign: int, setting: Setting, joint: int):
-    """The joint that turns one vector to the direction of another, and whether any does."""
-    now = setting.now[joint]
-    sine, cosine = _cross(before, after), _dot(before, after)
-    tiny = setting.tiny**2
-    free = (_dot(before, before) <= tiny) | (_dot(after, after) <= tiny)
-    weight = safe.reciprocal_sqrt(sine * sine + cosine * cosine)
-    free = free | (weight == 0)
-    turn = setting.angle(
-        jnp.where(free, now.sin, sign * sine * weight), jnp.where(free, now.cos, cosine * weight)
-    )
-    return turn, free
 
 
 def _minus(u: Point, v: Point) -> Point:

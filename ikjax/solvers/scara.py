@@ -11,8 +11,6 @@ Bit: the elbow left (0) or right of the line from the first of the three joints 
 Source: Craig, Introduction to Robotics, 3rd ed., section 4.4 for the plane; the rest is ours.
 """
 
-import jax.numpy as jnp
-
 from ikjax.arm.forward import Link
 from ikjax.core import safe, vector
 from ikjax.core.pose import Pose
@@ -60,8 +58,7 @@ def turret_branches(
     cosine, sine, _ = component(wanted, axes[0].along, along)
     weight = safe.reciprocal_sqrt(sine * sine + cosine * cosine)
     free = weight <= setting.tiny
-    now = setting.now[0]
-    turn = setting.angle(jnp.where(free, now.sin, sine * weight), jnp.where(free, now.cos, cosine * weight))
+    turn = setting.filled(0, free, sine * weight, cosine * weight)
     seen = pose_turned(axes[0], -turn.sin, turn.cos, goal)
     # Any direction square to the axes will do for x.
     x = vector.cross(along, axes[0].along)

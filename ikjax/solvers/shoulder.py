@@ -38,7 +38,6 @@ def shoulder(x: Scalar, y: Scalar, lateral: Scalar, side: Scalar, setting: Setti
     """
     root = cosine_sine(-y, x, lateral, side, noise=setting.noise, root=setting.root)
     free = (x * x + y * y <= setting.tiny**2) & (abs(lateral) <= setting.tiny)
-    lost, now = free | root.free, setting.now[0]
-    turn = setting.angle(jnp.where(lost, now.sin, root.sin), jnp.where(lost, now.cos, root.cos))
+    turn = setting.filled(0, free | root.free, root.sin, root.cos)
     margin = jnp.where(lateral == 0, jnp.inf, root.margin)
     return Shoulder(turn, setting.hold(root.height), margin, free)

@@ -63,6 +63,10 @@ def sweep(
         ValueError: An arm of no family, or orientations that are no rotations.
     """
     check_family(arm)
+    if arm.task.startswith("planar"):
+        raise ValueError(
+            f"{arm.name} moves in a plane (task {arm.task!r}), so a map in space says nothing of it"
+        )
     rotations = _rotations(orientations)
     dtype = np.dtype(arm.dtype if dtype is None else dtype)
     if dtype.name not in TOLERANCE:

@@ -29,12 +29,14 @@ TOOL = numpy_pose([0.05, -0.02, 0.13], [-0.6, 0.5, 2.0])
 SHIFT = [0.3, -1.2, 2.0, -0.7, 0.4, 2.9]
 
 
-def _dh(name, a, alpha, d, theta=None, base=None, tool=None) -> ikjax.Arm:
+def dh(name, a, alpha, d, theta=None, base=None, tool=None, kinds=None) -> ikjax.Arm:
+    """An arm from a standard table, its twists in degrees."""
     return ikjax.Arm.from_dh(
         a=a,
         alpha=np.multiply(alpha, DEG),
         d=d,
         theta=theta,
+        kinds=kinds,
         base=base,
         tool=tool,
         convention="standard",
@@ -117,7 +119,7 @@ def _awkward() -> dict[str, functools.partial]:
             tool=TOOL,
         ),
     }
-    return {name: functools.partial(_dh, name, **columns) for name, columns in table.items()}
+    return {name: functools.partial(dh, name, **columns) for name, columns in table.items()}
 
 
 AWKWARD = _awkward()

@@ -8,7 +8,6 @@ import numpy as np
 
 import ikjax
 
-DEG = np.pi / 180
 TOOL = arms.numpy_pose([0.05, 0.1, 0.3], [0.3, 0.5, -1.0])
 FLAT_TOOL = arms.numpy_pose([0.25, 0.1, 0], [0, 0, -1.0])
 BEFORE_WRIST = {
@@ -19,20 +18,6 @@ BEFORE_WRIST = {
     "2 and 3 parallel": {"alpha2": 180},
     "2 and 3 meet": {"a2": 0},
 }
-
-
-def _arm(name, kinds, a, alpha, d, theta=None, base=None, tool=None) -> ikjax.Arm:
-    return ikjax.Arm.from_dh(
-        a=a,
-        alpha=np.multiply(alpha, DEG),
-        d=d,
-        theta=theta,
-        kinds=kinds,
-        base=base,
-        tool=tool,
-        convention="standard",
-        name=name,
-    )
 
 
 def _changed(changes, a, alpha, d) -> dict:
@@ -152,7 +137,7 @@ NAMES = tuple(TABLE)
 
 @functools.cache
 def build(name: str) -> ikjax.Arm:
-    return _arm(name, **TABLE[name])
+    return arms.dh(name, **TABLE[name])
 
 
 def joints(arm: ikjax.Arm, count: int, seed: int = 0) -> np.ndarray:

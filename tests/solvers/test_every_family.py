@@ -209,3 +209,68 @@ def test_whether_the_quartic_rises_is_the_sign_of_the_regional_determinant(name)
     clear = sol.valid & (np.abs(determinant) > 1e-4)
     signs = np.sign(determinant) * [1, -1, 1, -1]
     assert clear.sum() > 500 and len(set(signs[clear])) == 1
+
+
+def _answers(name, count=300):
+    """An arm, its solutions in float64, and which goals are regular in every valid slot."""
+    arm = every.build(name)
+    goals = arms.numpy_fk(arm, every.joints(arm, count, seed=5))
+    sol = arms.solve_by_hand(arm, goals)
+    least = np.where(sol.valid, every.sigma_min(arm, sol.q), np.inf).min(-1)
+    return arm, goals, sol, least > np.median(least) / 2
+
+
+@pytest.mark.parametrize("name", every.NAMES)
+def test_no_answer_is_given_twice(name):
+    arm, _, sol, regular = _answers(name)
+    turning = [kind == "R" for kind in arm.kinds]
+    off = sol.q[:, :, None] - sol.q[:, None]
+    off = np.where(turning, np.abs(arms.wrapped(off)), np.abs(off)).max(-1)
+    both = sol.valid[:, :, None] & sol.valid[:, None] & ~np.eye(len(arm.branches), dtype=bool)
+    assert np.where(both, off, np.inf)[regular].min(initial=np.inf) > 1e-5
+
+
+@pytest.mark.parametrize("name", every.NAMES)
+def test_margin_is_positive_where_a_slot_is_valid_and_negative_out_of_reach(name):
+    arm, goals, sol, regular = _answers(name)
+    assert (sol.margin[sol.valid & regular[:, None]] > 0).all()
+    if "P" in arm.kinds:
+        return  # a slide reaches anywhere along itself
+    goals[:, :3, 3] += 20 * arms.reach(arm) * goals[:, :3, 0]
+    if arm.task.startswith("planar"):
+        goals[:, :3, 3] = arms.leaves(arm)["base"][:3, 3] + 20 * arms.leaves(arm)["base"][:3, 0]
+    far = arms.solve_by_hand(arm, goals)
+    assert not far.valid.any() and np.isfinite(far.margin).all()
+    assert (far.margin.max(-1) < 0).all()
+
+
+@pytest.mark.parametrize("name", ["RRR meet, wrist", "RRP meet, point", "RRR square, point"])
+def test_joint_1_follows_q_now_where_it_is_arbitrary(name):
+    arm = every.build(name)
+    q = every.joints(arm, 1)[0]
+    every_frame = arms.numpy_fk(arm, q, frames=True)
+    base = every_frame[0]
+    goals = arms.numpy_fk(arm, q)[None]
+    centre = every_frame[4] if arm.n == 6 else goals[0]
+    # The point that joint 1 turns is moved onto its axis, and the goal with it.
+    shift = base[:3, :3] @ np.diag([1, 1, 0]) @ base[:3, :3].T @ (base[:3, 3] - centre[:3, 3])
+    goals[0, :3, 3] += shift
+    now = np.full(arm.n, 0.3)
+    sol = arms.solve_by_hand(arm, goals, now[None])
+    assert not (sol.valid & ~sol.continuum).any()
+    np.testing.assert_allclose(sol.q[sol.valid][:, 0], 0.3, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "name", ["2R", "2R, second reversed", "3R", "3R, second reversed", "SCARA RRPR", "turret"]
+)
+def test_left_and_right_are_sides_of_the_line_from_first_joint_to_last(name):
+    arm, _, sol, _ = _answers(name, 50)
+    turning = [i for i, kind in enumerate(arm.kinds) if kind == "R"]
+    turning = turning[1:] if arm.family == "turret" else turning
+    frames = arms.numpy_fk(arm, sol.q, frames=True)
+    ends = [frames[..., i, :3, 3] for i in turning]
+    last = ends[2] if len(ends) > 2 else arms.numpy_fk(arm, sol.q)[..., :3, 3]
+    up = frames[..., turning[0], :3, 2]
+    side = np.einsum("...i,...i->...", np.cross(last - ends[0], ends[1] - ends[0]), up)
+    assert (side[:, 0] > 0)[sol.valid[:, 0]].all() and (side[:, 1] < 0)[sol.valid[:, 1]].all()

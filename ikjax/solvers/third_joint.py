@@ -1,0 +1,132 @@
+"""Joint 3 from the equation that is left when joints 1 and 2 are eliminated.
+
+Storey: solvers. For `regional`. Branches: 4 of a quartic, 2 of an equation of the first degree on the
+circle or of the second in a slide, 1 of one of the first degree in a slide.
+
+The margin of a quartic's root is the size of the polynomial, its coefficients adding up to one, midway to
+the nearest root of the other kind: zero where the two merge and negative where they are complex, but
+no length.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from ikjax.core import safe
+from ikjax.core.roots import CircleRoot, circle_quartic, cosine_sine, harmonics_at
+from ikjax.core.trig import Angle, Scalar
+from ikjax.core.vector import times
+from ikjax.solvers.branch import Setting, Slide
+from ikjax.solvers.point_chain import Chain, Poly
+
+
+class Third(NamedTuple):
+    """A candidate for joint 3."""
+
+    joint: Angle | Slide
+    u: Scalar
+    v: Scalar
+    margin: Scalar
+    free: Scalar = False
+    """It is arbitrary."""
+
+
+def roots(chain: Chain, p: Poly, setting: Setting, length: Scalar) -> list[Third]:
+    """Joint 3 from a polynomial of the first degree on the circle, or up to the second in a slide."""
+    if chain.kinds[2] == "P":
+        return _slides(p, setting)
+    thirds = []
+    for side in (1, -1):
+        root = cosine_sine(p.u, p.v, times(-1.0, p.one), side, noise=setting.noise, root=setting.root)
+        turn = setting.filled(2, root.free, root.sin, root.cos)
+        # Where the equation is one of squared distances, length is the distance.
+        margin = root.margin if isinstance(length, float) else root.margin / (1 + length)
+        thirds.append(Third(turn, turn.cos, turn.sin, margin, root.free))
+    return thirds
+
+
+def _slides(p: Poly, setting: Setting) -> list[Third]:
+    """Joint 3 as the roots of a polynomial in a slide: one or two."""
+    if isinstance(p.uu, float) and p.uu == 0:
+        q = setting.hold(safe.divide(times(-1.0, p.one), p.u))
+        return [Third(Slide(q), q, 0.0, jnp.inf)]
+    thirds = []
+    middle = -p.u / (2 * p.uu)
+    gap = middle * middle - p.one / p.uu
+    for side in (1, -1):
+        q = setting.hold(middle + safe.sign(p.uu) * side * setting.root(gap))
+        thirds.append(Third(Slide(q), q, 0.0, safe.sign(gap) * safe.sqrt(abs(gap))))
+    return thirds
+
+
+def second_degree(chain: Chain, p: Poly, setting: Setting) -> list[Third]:
+    return _slides(p, setting) if chain.kinds[2] == "P" else circle_roots(chain, harmonics_of(p), setting)
+
+
+def harmonics_of(p: Poly):
+    """A polynomial in (cos, sin) as harmonics."""
+    return (
+        (p.uu - p.vv) / 2,
+        p.uv / 2,
+        p.u / 2,
+        p.v / 2,
+        p.one + (p.uu + p.vv) / 2,
+    )
+
+
+def half_angle_harmonics(c: list[Scalar]):
+    """A quartic in q = tan(t / 2), times cos(t / 2)^4."""
+    return (
+        (c[0] - c[2] + c[4]) / 8,
+        (c[1] - c[3]) / 8,
+        (c[0] - c[4]) / 4,
+        (c[1] + c[3]) / 8,
+        (3 * c[0] + c[2] + 3 * c[4]) / 8,
+    )
+
+
+def circle_roots(chain: Chain, harmonics, setting: Setting) -> list[Third]:
+    harmonics = tuple(jnp.asarray(c) for c in harmonics)
+    scale = sum(abs(c) for c in harmonics)
+    weight = safe.divide(1, scale)
+    harmonics = tuple(setting.keep(c * weight) for c in harmonics)
+    found = circle_quartic(harmonics, setting.keep)
+    thirds = []
+    for root in (found.rising[0], found.falling[0], found.rising[1], found.falling[1]):
+        sine, cosine = root.sin, root.cos
+        margin = clearance(harmonics, found, root)
+        if chain.kinds[2] == "P":
+            # tan(t / 2), from the form that does not cancel.
+            q = jnp.where(cosine > 0, safe.divide(sine, 1 + cosine), safe.divide(1 - cosine, sine))
+            thirds.append(Third(Slide(q), q, 0.0, margin))
+            continue
+        turn = setting.angle(sine, cosine)
+        thirds.append(Third(turn, turn.cos, turn.sin, margin))
+    return thirds
+
+
+def clearance(harmonics, found, root: CircleRoot) -> Scalar:
+    """How far the polynomial is from having a double root here: its size between two neighbours."""
+    value, _ = harmonics_at(harmonics, root.sin, root.cos)
+    return jnp.where(root.real, _between(harmonics, found, root), -abs(value))
+
+
+def _between(harmonics, found, root: CircleRoot) -> Scalar:
+    """The lesser size of the polynomial midway to the real neighbours, which are of the other kind."""
+    rises = any(root is r for r in found.rising)
+    others, rise = (found.falling, 1) if rises else (found.rising, -1)
+    least: Scalar = jnp.inf
+    for other in others:
+        cosine = root.cos * other.cos + root.sin * other.sin
+        sine = root.cos * other.sin - root.sin * other.cos
+        half_cos = safe.sqrt((1 + cosine) / 2)
+        half_sin = safe.sign(sine) * safe.sqrt((1 - cosine) / 2)
+        middle = (
+            root.sin * half_cos + root.cos * half_sin,
+            root.cos * half_cos - root.sin * half_sin,
+        )
+        # Between a root where it rises and one where it falls, the sign is known; not so where the
+        # short way holds other roots.
+        size = rise * safe.sign(sine) * harmonics_at(harmonics, *middle)[0]
+        least = jnp.where(other.real & (size >= 0), jnp.minimum(least, size), least)
+    return jnp.minimum(least, 1)
