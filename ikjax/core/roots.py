@@ -143,11 +143,13 @@ def circle_quartic(
         slope = (3 * n - 2 * b) * n + c
         n = jnp.clip(n - safe.divide(value, slope), 0, 2)
     # What is left to 2, anew where it is small, so that it keeps its digits too.
+    n = keep(n)
     left = 2 - n
     for _ in range(2):
         value = ((left + k - 3) * left + p_squared + q_squared + 2 - 2 * k) * left - 2 * q_squared
         slope = (3 * left + 2 * k - 6) * left + p_squared + q_squared + 2 - 2 * k
         left = jnp.where(n > 1, jnp.clip(left - safe.divide(value, slope), 0, 2), left)
+    left = keep(left)
     n = jnp.where(n > 1, 2 - left, n)
     near, far, gap = keep(safe.sqrt(n)), keep(safe.sqrt(left)), k + 1 - n
     # (near cos + first)^2 = (far sin - second)^2, first^2 = gap + second^2. Where a line runs along an
@@ -182,13 +184,8 @@ def circle_quartic(
             # Near another root, what is left of a complex pair would be led to that one.
             real = root.margin >= 0
             sine, cosine = _polished(polynomial, keep(sine), keep(cosine), real)
-            found.append(CircleRoot(sine, cosine, real))
-
-    def kept(pair: list[CircleRoot]) -> tuple[CircleRoot, CircleRoot]:
-        low, high = (CircleRoot(keep(r.sin), keep(r.cos), r.real) for r in _in_order(*pair))
-        return low, high
-
-    return CircleRoots(kept(rising), kept(falling))
+            found.append(CircleRoot(keep(sine), keep(cosine), real))
+    return CircleRoots(_in_order(*rising), _in_order(*falling))
 
 
 _SQRT2 = 2**0.5
@@ -210,16 +207,14 @@ def harmonics_at(polynomial: Harmonics, sine: Scalar, cosine: Scalar) -> tuple[S
     return value, 2 * (v * double_cos - u * double_sin + y * cosine - x * sine)
 
 
-def _polished(polynomial: Harmonics, sine: Scalar, cosine: Scalar, real: jax.Array, steps: int = 2) -> SinCos:
-    """A root after Newton steps, none of them larger than the error it had to start with."""
-    for _ in range(steps):
-        value, slope = harmonics_at(polynomial, sine, cosine)
-        step = -safe.divide(value, slope)
-        step = jnp.where(real & (abs(step) < jnp.finfo(step.dtype).eps ** 0.25), step, 0)
-        sine, cosine = sine + step * cosine, cosine - step * sine
-        size = safe.reciprocal_sqrt(sine * sine + cosine * cosine)
-        sine, cosine = sine * size, cosine * size
-    return sine, cosine
+def _polished(polynomial: Harmonics, sine: Scalar, cosine: Scalar, real: jax.Array) -> SinCos:
+    """A root after a Newton step, no larger than the error it had to start with."""
+    value, slope = harmonics_at(polynomial, sine, cosine)
+    step = -safe.divide(value, slope)
+    step = jnp.where(real & (abs(step) < jnp.finfo(step.dtype).eps ** 0.25), step, 0)
+    # So small a step leaves the circle by less than rounding does.
+    less = 1 - step * step / 2
+    return sine * less + step * cosine, cosine * less - step * sine
 
 
 def _in_order(first: CircleRoot, second: CircleRoot) -> tuple[CircleRoot, CircleRoot]:

@@ -185,7 +185,15 @@ def _step(given: Given, joints: Joints, goal: Pose, turning: bool, setting: Sett
     for step in steps[1:]:
         size = jnp.maximum(size, abs(step))
     shrink = jnp.where(size > LARGEST_STEP, LARGEST_STEP / jnp.maximum(size, LARGEST_STEP), 1)
-    return tuple(moved_on(joint, step * shrink) for joint, step in zip(joints, steps, strict=True))
+    return tuple(_rounded(moved_on(joint, step * shrink)) for joint, step in zip(joints, steps, strict=True))
+
+
+def _rounded(joint: Angle | Slide) -> Angle | Slide:
+    """Back onto the circle."""
+    if isinstance(joint, Slide):
+        return joint
+    size = safe.reciprocal_sqrt(joint.sin * joint.sin + joint.cos * joint.cos)
+    return Angle(joint.sin * size, joint.cos * size, ())
 
 
 def _dot(u, v) -> Scalar:

@@ -36,9 +36,6 @@ from ikjax.solvers.branch import Joints, Setting, Slide, moved_on, placed
 from ikjax.solvers.point_chain import Chain, Poly, chain_of
 from ikjax.solvers.third_joint import circle_roots, half_angle_harmonics, harmonics_of, roots, second_degree
 
-POLISH = 2
-"""Newton steps at the end."""
-
 
 class Regional(NamedTuple):
     """One way to bring the point there."""
@@ -69,16 +66,14 @@ def regional(
 
 
 def _polished(chain: Chain, point: Vector, wanted: Vector, way: Regional, setting: Setting) -> Regional:
-    """Newton steps on the joints themselves: the elimination squares lengths, and rounding with them."""
-    joints = way.joints
-    for _ in range(POLISH):
-        steps = _newton(chain.links, joints, point, wanted)
-        size = functools.reduce(jnp.maximum, (abs(step) for step in steps))
-        # A larger step is not the correction of a small error: it would lead to another branch.
-        eps = float(jnp.finfo(size.dtype).eps)
-        small = (size < eps**0.25) & (way.margin > -(eps**0.5))
-        steps = tuple(setting.hold(jnp.where(small, step, 0)) for step in steps)
-        joints = tuple(map(moved_on, joints, steps))
+    """A Newton step on the joints themselves: the elimination squares lengths, and rounding with them."""
+    steps = _newton(chain.links, way.joints, point, wanted)
+    size = functools.reduce(jnp.maximum, (abs(step) for step in steps))
+    # A larger step is not the correction of a small error: it would lead to another branch.
+    eps = float(jnp.finfo(size.dtype).eps)
+    small = (size < eps**0.25) & (way.margin > -(eps**0.5))
+    steps = tuple(setting.hold(jnp.where(small, step, 0)) for step in steps)
+    joints = tuple(map(moved_on, way.joints, steps))
     held = tuple(j if isinstance(j, Slide) else setting.angle(j.sin, j.cos) for j in joints)
     return way._replace(joints=held)
 
