@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ikjax.core import safe
-from ikjax.core.trig import Scalar, SinCos
+from ikjax.core.trig import Scalar, SinCos, nudged
 
 
 class CosineSine(NamedTuple):
@@ -212,9 +212,7 @@ def _polished(polynomial: Harmonics, sine: Scalar, cosine: Scalar, real: jax.Arr
     value, slope = harmonics_at(polynomial, sine, cosine)
     step = -safe.divide(value, slope)
     step = jnp.where(real & (abs(step) < jnp.finfo(step.dtype).eps ** 0.25), step, 0)
-    # So small a step leaves the circle by less than rounding does.
-    less = 1 - step * step / 2
-    return sine * less + step * cosine, cosine * less - step * sine
+    return nudged(sine, cosine, step)
 
 
 def _in_order(first: CircleRoot, second: CircleRoot) -> tuple[CircleRoot, CircleRoot]:

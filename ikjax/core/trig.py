@@ -245,6 +245,12 @@ def angle(sine: Scalar, cosine: Scalar) -> Angle:
     return Angle(sine, cosine, atan2(sine, cosine))
 
 
+def nudged(sine: Scalar, cosine: Scalar, step: Scalar) -> SinCos:
+    """Sine and cosine after a small step; off the circle by an eighth of step^4."""
+    less = 1 - step * step / 2
+    return sine * less + cosine * step, cosine * less - sine * step
+
+
 def half_turn(x: Angle) -> Angle:
     """The opposite direction, without a second atan2."""
     return Angle(-x.sin, -x.cos, jnp.where(x.value > 0, x.value - PI, x.value + PI))

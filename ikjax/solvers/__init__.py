@@ -24,8 +24,6 @@ class Family(NamedTuple):
     """So many first joints are shared by slots that differ in the rest."""
     last: int
     """So many last joints likewise."""
-    polish: bool = False
-    """The closed form squares lengths, so Newton steps follow."""
     small: bool = False
     """XLA can compute all masks in one fused loop; see `ik.graph`."""
 
@@ -35,7 +33,7 @@ FAMILIES = {
     "three_parallel": Family(three_parallel.branches, first=1, last=2, small=True),
     "pieper": Family(pieper.branches, first=3, last=0),
     "pieper_reversed": Family(pieper.reversed_branches, first=0, last=3),
-    "parallel_axes": Family(parallel_axes.branches, first=0, last=0, polish=True),
+    "parallel_axes": Family(parallel_axes.branches, first=0, last=0),
     "scara": Family(scara.branches, first=0, last=0, small=True),
     "turret": Family(scara.turret_branches, first=0, last=0, small=True),
     "planar_pose": Family(planar.branches, first=0, last=0, small=True),

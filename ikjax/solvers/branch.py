@@ -14,7 +14,7 @@ import numpy as np
 from ikjax.arm.forward import Joint, Link, known_sincos, unwind
 from ikjax.core import safe
 from ikjax.core.pose import Pose
-from ikjax.core.trig import Angle, Scalar, angle
+from ikjax.core.trig import Angle, Scalar, angle, nudged
 from ikjax.core.vector import Vector, plus
 
 
@@ -36,11 +36,10 @@ def placed(link: Link, joint: Angle | Slide) -> Joint:
 
 
 def moved_on(joint: Angle | Slide, step: Scalar) -> Angle | Slide:
-    """The joint after a small step, without its angle's value; off the circle by an eighth of step^4."""
+    """The joint after a small step, without its angle's value."""
     if isinstance(joint, Slide):
         return Slide(joint.value + step)
-    less = 1 - step * step / 2
-    return Angle(joint.sin * less + joint.cos * step, joint.cos * less - joint.sin * step, ())
+    return Angle(*nudged(joint.sin, joint.cos, step), ())
 
 
 class Setting(NamedTuple):

@@ -177,7 +177,7 @@ def solve_scalars(
     turning = arm.task in TURNING
     family = FAMILIES[str(arm.family)]
     branches = family.branches(arm.signs, frame.links, tip, setting)
-    if frame.between is not None or family.polish:
+    if frame.between is not None:
         given = Given(frame.links, frame.between, frame.tool)
         branches, gaps, turns = polished(given, branches, tip, turning, setting)
         measured = list(zip(gaps, turns, strict=True))

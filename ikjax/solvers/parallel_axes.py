@@ -29,7 +29,7 @@ from ikjax.core import pose as poses
 from ikjax.core import safe, vector
 from ikjax.core.pose import Pose
 from ikjax.core.roots import circle_quartic, cosine_sine
-from ikjax.core.trig import Angle, Scalar
+from ikjax.core.trig import Angle, Scalar, SinCos, nudged
 from ikjax.core.vector import Vector
 from ikjax.solvers.branch import Branch, Setting
 from ikjax.solvers.planar import Plane, heading_of, three_joints
@@ -213,12 +213,30 @@ def _pairs(equations: tuple[Equation, Equation], splits: int, joints, setting: S
     found = circle_quartic(harmonics, setting.keep)
     pairs = []
     for root in (found.rising[0], found.falling[0], found.rising[1], found.falling[1]):
-        first = setting.angle(root.sin, root.cos)
-        cosine, sine = ec - ac * first.cos - bc * first.sin, es - as_ * first.cos - bs * first.sin
+        cosine, sine = ec - ac * root.cos - bc * root.sin, es - as_ * root.cos - bs * root.sin
         size = safe.reciprocal_sqrt(cosine * cosine + sine * sine)
-        second = setting.angle(sine * size, jnp.where(size == 0, 1, cosine * size))
+        turn = setting.hold(sine * size), setting.hold(jnp.where(size == 0, 1, cosine * size))
+        first, second = _polished(equations, (root.sin, root.cos), turn, root.real, setting)
         pairs.append(Pair(first, second, clearance(harmonics, found, root)))
     return pairs
+
+
+def _polished(equations, first: SinCos, second: SinCos, real, setting: Setting) -> tuple[Angle, Angle]:
+    """A Newton step on A and B in their own equations: the quartic squares them, and rounding with them."""
+    rows = []
+    for a, b, c, d, e in equations:
+        gap = e - a * first[1] - b * first[0] - c * second[1] - d * second[0]
+        rows.append((b * first[1] - a * first[0], d * second[1] - c * second[0], gap))
+    (p, q, gap), (r, s, other) = rows
+    weight = safe.divide(1, p * s - q * r)
+    steps = (gap * s - other * q) * weight, (other * p - gap * r) * weight
+    # A larger step is not the correction of a small error: it would lead to another branch.
+    small = real & (jnp.maximum(*map(abs, steps)) < float(jnp.finfo(steps[0].dtype).eps) ** 0.25)
+    moved = (
+        nudged(*joint, jnp.where(small, step, 0)) for joint, step in zip((first, second), steps, strict=True)
+    )
+    a, b = (setting.angle(*joint) for joint in moved)
+    return a, b
 
 
 def _split_pairs(one: Equation, two: Equation, joints, setting: Setting) -> list[Pair]:
