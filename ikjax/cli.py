@@ -157,8 +157,21 @@ def _info(options) -> int:
     table = {key: np.asarray(getattr(arm, key)).tolist() for key in ("a", "alpha", "d", "theta")}
     limits = [[x if np.isfinite(x) else None for x in pair] for pair in np.asarray(arm.limits).tolist()]
     data = {"name": arm.name, "kinds": arm.kinds, "family": arm.family, "branches": arm.branches}
-    _say(options, f"{arm}\n\n{ikjax.explain(arm)}", {**data, **table, "limits": limits})
+    poses = ikjax.robots.poses(options.arm) if options.arm in ikjax.robots.names() else {}
+    stands = {name: np.asarray(ikjax.fk(arm, q))[:3, 3].tolist() for name, q in poses.items()}
+    lines = [str(arm), "", ikjax.explain(arm)]
+    if poses:  # a URDF file names none
+        lines.append(f"Named poses ({len(poses)}):")
+    for name, q in poses.items():
+        lines.append(f"  {name:18} flange at ({_row(stands[name])}) m, q = ({_row(q)})")
+    named = {name: {"q": q, "xyz": stands[name]} for name, q in poses.items()}
+    _say(options, "\n".join(lines), {**data, **table, "limits": limits, "poses": named})
     return 0
+
+
+def _row(values) -> str:
+    """Numbers to four decimals, and no minus before a zero."""
+    return ", ".join(f"{round(x, 4) + 0.0:g}" for x in values)
 
 
 def _solve(options) -> int:

@@ -47,6 +47,18 @@ def test_info_prints_a_table_and_the_family(run):
     assert "Arm.from_dh(" in out and "solved by ortho_parallel_wrist" in out
 
 
+def test_info_prints_the_named_poses_with_the_flange(run):
+    code, out, _ = run("info", "ur5e")
+    head, *rows = out.splitlines()[-5:]
+    assert (code, head) == (0, "Named poses (4):")
+    assert [row.split()[0] for row in rows] == list(robots.poses("ur5e"))
+    # z = 0.1625 + 0.425 + 0.3922 + 0.0997, y = -(0.1333 + 0.0996).
+    assert rows[2].endswith("flange at (0, -0.2329, 1.0794) m, q = (0, -1.5708, 0, -1.5708, 0, 0)")
+    up = json.loads(run("info", "ur5e", "--json")[1])["poses"]["up"]
+    assert up["xyz"] == pytest.approx([0, -0.2329, 1.0794]) and tuple(up["q"]) == robots.poses("ur5e")["up"]
+    assert "Named poses" not in run("info", "stanford")[1]
+
+
 def test_solve_prints_eight_rows(run):
     code, out, err = run("solve", "puma560", *GOAL)
     assert (code, err) == (0, "")

@@ -24,9 +24,10 @@ HALF_TURN = np.diag([-1.0, -1, 1, 1])
 
 
 def our_chain(arm, q):
-    """fk and frames at (4, 6) joints; all arms share one program, because only their numbers differ."""
+    """fk and frames at (4, n) joints; alike arms share one program, because only their numbers differ."""
     arm = dataclasses.replace(arm, name="any", family=None, signs=(), branches=())
-    return [np.asarray(poses) for poses in fk_and_frames(arm, np.broadcast_to(q, (4, 6)))]
+    q = np.broadcast_to(np.asarray(q, float), (4, arm.n))
+    return [np.asarray(poses) for poses in fk_and_frames(arm, q)]
 
 
 def ssik_joints(name):
@@ -67,6 +68,8 @@ def test_an_unknown_robot_is_answered_with_the_list():
         ValueError, match="no robot 'puma'; the catalogue has elbow_manipulator, gx4_351s, irb120"
     ):
         ikjax.robots.get("puma")
+    with pytest.raises(ValueError, match="no robot 'puma'; the catalogue has elbow_manipulator"):
+        ikjax.robots.poses("puma")
 
 
 @pytest.mark.parametrize("name", SSIK)
@@ -102,21 +105,179 @@ def test_the_irb2400_stands_upright_with_its_forearm_level():
     np.testing.assert_allclose(T[:3, 2], [1, 0, 0], atol=1e-12)
 
 
-QUARTER = math.pi / 2
-PUMA_POSES = {
-    "zero": ((0, 0, 0, 0, 0, 0), (0.4521, -0.15005, 0.4318)),
-    "ready": ((0, QUARTER, -QUARTER, 0, 0, 0), (0.0203, -0.15005, 0.8636)),
-    "stretch": ((0, 0, -QUARTER, 0, 0, 0), (0.8636, -0.15005, -0.0203)),
+# Where a flange stands at a named pose [m], by sums of lengths that others print.
+STANDS = {
+    # Corke, Robotics Toolbox for MATLAB, wiki, Arm robot examples, prints zero as 0.4521, -0.15, 0.4318;
+    # the others are sums of the lengths printed there. Upper arm and forearm are at 45 deg when nominal.
+    ("puma560", "zero"): (0.4318 + 0.0203, -0.15005, 0.4318),
+    ("puma560", "ready"): (0.0203, -0.15005, 0.4318 + 0.4318),
+    ("puma560", "stretch"): (0.4318 + 0.4318, -0.15005, -0.0203),
+    ("puma560", "nominal"): ((0.4318 - 0.0203 + 0.4318) * 0.5**0.5, -0.15005, -0.0203 * 0.5**0.5),
+    # Joint origins of the macros in ros-industrial/fanuc, fanuc_lrmate200id_support/urdf, and in
+    # ros-industrial/kuka_experimental, kuka_kr6_support/urdf/kr6r900sixx_macro.xacro.
+    ("lrmate200id", "zero"): (0.050 + 0.335 + 0.080, 0, 0.330 + 0.330 + 0.035),
+    ("kr6_r900", "zero"): (0.025 + 0.455 + 0.420 + 0.080, 0, 0.400 + 0.035),
+    ("kr6_r900", "start"): (0.025 + 0.420, 0, 0.400 + 0.455 + 0.035 - 0.080),
+    # Reach of the product page, "GX4 SCARA Robot - 350 mm" (epson.com, RGX4-A351SSTSD).
+    ("gx4_351s", "zero"): (0.350, 0, 0),
+    # The lectures' slides on PRR arms ask for this point.
+    ("planar_prr", "stretch"): (0, 22, 0),
 }
 
 
-@pytest.mark.parametrize("pose", PUMA_POSES)
-def test_the_puma_stands_where_the_textbook_puts_it(pose):
-    q, wanted = PUMA_POSES[pose]
-    T = our_chain(ikjax.robots.puma560(), np.array(q, float))[0][0]
-    np.testing.assert_allclose(T[:3, 3], wanted, atol=1e-15)
+@pytest.mark.parametrize("name, pose", STANDS)
+def test_a_flange_stands_where_its_named_pose_is_published(name, pose):
+    T = our_chain(ikjax.robots.get(name), ikjax.robots.poses(name)[pose])[0][0]
+    np.testing.assert_allclose(T[:3, 3], STANDS[name, pose], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["ur3e", "ur5", "ur5e", "ur10e"])
+def test_a_universal_robot_that_is_up_stands_straight_up(name):
+    T, frames = our_chain(ikjax.robots.get(name), ikjax.robots.poses(name)["up"])
+    shoulder, elbow, wrist = frames[0][1:4, :3, 3]
+    np.testing.assert_allclose(np.array([shoulder, elbow, wrist])[:, :2], 0, atol=1e-12)
+    assert 0 < shoulder[2] < elbow[2] < wrist[2] < T[0][2, 3]
+
+
+@pytest.mark.parametrize("name", ikjax.robots.names())
+def test_named_poses_lie_within_the_joint_limits(name):
+    poses, arm = ikjax.robots.poses(name), ikjax.robots.get(name)
+    assert poses or name == "stanford"
+    low, high = np.asarray(arm.limits).T
+    for q in poses.values():
+        assert len(q) == arm.n and all(type(x) is float for x in q)
+        assert (low <= q).all() and (q <= high).all()
+
+
+def test_the_named_poses_of_a_robot_are_ones_own_to_change():
+    ikjax.robots.poses("puma560").clear()
+    assert list(ikjax.robots.poses("puma560")) == ["zero", "ready", "stretch", "nominal"]
 
 
 def test_the_elbow_manipulator_has_free_lengths():
     T = our_chain(ikjax.robots.elbow_manipulator(0.5, 0.25, 0.125), np.zeros(6))[0][0]
     np.testing.assert_allclose(T[:3, 3], [0.875, 0, 0], atol=1e-15)
+
+
+def zyz(a, b, c):
+    """Euler angles, which are the three turns of a spherical wrist."""
+    z, y = (0, 0, 1), (0, 1, 0)
+    return turn(z, a) @ turn(y, b) @ turn(z, c)
+
+
+def stanford_of_the_notes(q):
+    """CS 4733 notes, step 1, the matrix from base to slide; the wrist turns and then reaches d6 ahead.
+
+    The lengths have no second source. Joint 4 is a quarter turn behind Corke's, who turns his slide by it.
+    """
+    d1, d2, d3, d6 = 0.412, 0.154, q[2], 0.263
+    (s1, s2), (c1, c2) = np.sin(q[:2]), np.cos(q[:2])
+    T = [
+        [c1 * c2, -s1, c1 * s2, c1 * s2 * d3 - s1 * d2],
+        [s1 * c2, c1, s1 * s2, s1 * s2 * d3 + c1 * d2],
+        [-s2, 0, c2, c2 * d3 + d1],
+        [0, 0, 0, 1],
+    ]
+    ahead = np.eye(4)
+    ahead[2, 3] = d6
+    return T @ zyz(q[3] - math.pi / 2, *q[4:]) @ ahead
+
+
+def irb2400_of_opw(q):
+    """Numbers of Jmeyer1292/opw_kinematics, opw_parameters_examples.h, makeIrb2400_10.
+
+    Equations: Brandstoetter, Angerer and Hofbaur, An Analytical Solution of the Inverse Kinematics Problem
+    of Industrial Serial Manipulators with an Ortho-parallel Basis and a Spherical Wrist (2014), as in
+    `forward` of opw_kinematics_impl.h.
+    """
+    a1, a2, c1, c2, c3, c4 = 0.100, -0.135, 0.615, 0.705, 0.755, 0.085
+    t1, t2, t3, *wrist = q - [0, 0, -math.pi / 2, 0, 0, 0]
+    forearm, bend = math.hypot(a2, c3), math.atan2(a2, c3)
+    ahead = c2 * math.sin(t2) + forearm * math.sin(t2 + t3 + bend) + a1
+    T = zyz(t1, t2 + t3, 0) @ zyz(*wrist)
+    T[:3, 3] = ahead * math.cos(t1), ahead * math.sin(t1), 0
+    T[2, 3] = c2 * math.cos(t2) + forearm * math.cos(t2 + t3 + bend) + c1
+    T[:3, 3] += c4 * T[:3, 2]
+    return T
+
+
+def elbow_manipulator_of_the_lecture(q):
+    """ME/SE 740, lecture 18, step 1: A1 times the right-hand side printed there."""
+    a2, a3, a4 = 0.4, 0.3, 0.1  # ours, of the catalogue
+    (s1, s2, _, _, s5, s6), (c1, c2, _, _, c5, c6) = np.sin(q), np.cos(q)
+    (s23, s234), (c23, c234) = np.sin([q[1] + q[2], sum(q[1:4])]), np.cos([q[1] + q[2], sum(q[1:4])])
+    A1 = np.array([[c1, 0, s1, 0], [s1, 0, -c1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+    x, y = a4 * c234 + a3 * c23 + a2 * c2, a4 * s234 + a3 * s23 + a2 * s2
+    return A1 @ [
+        [c234 * c5 * c6 - s234 * s6, -c234 * c5 * s6 - s234 * c6, c234 * s5, x],
+        [s234 * c5 * c6 + c234 * s6, -s234 * c5 * s6 + c234 * c6, s234 * s5, y],
+        [-s5 * c6, s5 * s6, c5, 0],
+        [0, 0, 0, 1],
+    ]
+
+
+def planar(phi, x, y):
+    """A pose in the plane, in space."""
+    T = turn((0, 0, 1), phi)
+    T[:2, 3] = x, y
+    return T
+
+
+def planar_2r_of_the_slides(q):
+    """The slides on two-link arms, (1) and (2), which Spong numbers (1.1) and (1.2)."""
+    l1, l2, t12 = 0.5, 0.4, sum(q)  # ours, of the catalogue
+    return planar(t12, l1 * math.cos(q[0]) + l2 * math.cos(t12), l1 * math.sin(q[0]) + l2 * math.sin(t12))
+
+
+def planar_3r_of_craig(q):
+    """Craig, Introduction to Robotics, 3rd ed., (4.6), whose frame is the wrist; the tip is l3 further on."""
+    l3 = 0.2  # ours, of the catalogue
+    wrist, phi = planar_2r_of_the_slides(q[:2])[:2, 3], sum(q)
+    return planar(phi, *wrist + l3 * np.array([math.cos(phi), math.sin(phi)]))
+
+
+def gx4_351s_of_epson(q):
+    """A SCARA's plane is a two-link arm; numbers of Epson, GX series, Standard Work Envelope."""
+    arm1, arm2, t12 = 0.220, 0.350 - 0.220, q[0] + q[1]
+    x, y = arm1 * math.cos(q[0]) + arm2 * math.cos(t12), arm1 * math.sin(q[0]) + arm2 * math.sin(t12)
+    T = planar(t12 + q[3], x, y)
+    T[2, 3] = q[2]
+    return T
+
+
+# Pose after pose in closed form, each written from a text of its own; planar_rpr and planar_prr
+# have theirs in tests/solvers/test_textbooks.py.
+CLOSED = {
+    "elbow_manipulator": elbow_manipulator_of_the_lecture,
+    "gx4_351s": gx4_351s_of_epson,
+    "irb2400": irb2400_of_opw,
+    "planar_2r": planar_2r_of_the_slides,
+    "planar_3r": planar_3r_of_craig,
+    "stanford": stanford_of_the_notes,
+}
+
+
+@pytest.mark.parametrize("name", CLOSED)
+def test_the_flange_stands_where_a_closed_form_of_others_puts_it(name, rng):
+    arm = ikjax.robots.get(name)
+    q = rng.uniform(-math.pi, math.pi, (4, arm.n))
+    np.testing.assert_allclose(our_chain(arm, q)[0], [CLOSED[name](joints) for joints in q], atol=1e-12)
+
+
+def test_joint_limits_of_the_irb2400_are_those_of_its_ros_description():
+    # ros-industrial/abb, abb_irb2400_support/urdf/irb2400_macro.xacro, to the digits given there.
+    wanted = [(-3.1416, 3.1416), (-1.7453, 1.9199), (-1.0472, 1.1345), (-3.49, 3.49)]
+    wanted += [(-2.0944, 2.0944), (-6.9813, 6.9813)]
+    np.testing.assert_allclose(ikjax.robots.irb2400().limits, wanted, atol=1e-3)
+
+
+def test_the_gx4_ends_where_epsons_work_envelope_does():
+    # Computed by Epson, GX series, Standard Work Envelope, GX4-351*: f = 142 mm is the nearest to axis 1 that
+    # joint 2 allows, g = 298.5 mm the furthest behind it that joint 1 does; m = 150 mm is joint 3's stroke.
+    arm = ikjax.robots.gx4_351s()
+    (_, end1), (_, end2), (bottom, top), _ = np.asarray(arm.limits)
+    near = our_chain(arm, [0, end2, 0, 0])[0][0][:2, 3]
+    back = our_chain(arm, [end1, math.pi - end1, bottom, 0])[0][0][:3, 3]
+    np.testing.assert_allclose(np.hypot(*near), 0.142, atol=5e-4)
+    np.testing.assert_allclose(back[0], -0.2985, atol=5e-5)
+    np.testing.assert_allclose(top - back[2], 0.150, atol=1e-12)

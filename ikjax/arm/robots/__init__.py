@@ -3,9 +3,8 @@
 Storey: arm.
 """
 
-from collections.abc import Callable
-
 from ikjax.arm.arm import Arm
+from ikjax.arm.robots.catalogue import CATALOGUE, Entry
 from ikjax.arm.robots.industrial import irb120, irb2400, kr6_r900, lrmate200id, rx160
 from ikjax.arm.robots.scara import gx4_351s
 from ikjax.arm.robots.textbook import (
@@ -19,30 +18,10 @@ from ikjax.arm.robots.textbook import (
 )
 from ikjax.arm.robots.universal import ur3e, ur5, ur5e, ur10e
 
-_ROBOTS: dict[str, Callable[[], Arm]] = {
-    "elbow_manipulator": elbow_manipulator,
-    "gx4_351s": gx4_351s,
-    "irb120": irb120,
-    "irb2400": irb2400,
-    "kr6_r900": kr6_r900,
-    "lrmate200id": lrmate200id,
-    "planar_2r": planar_2r,
-    "planar_3r": planar_3r,
-    "planar_prr": planar_prr,
-    "planar_rpr": planar_rpr,
-    "puma560": puma560,
-    "rx160": rx160,
-    "stanford": stanford,
-    "ur10e": ur10e,
-    "ur3e": ur3e,
-    "ur5": ur5,
-    "ur5e": ur5e,
-}
-
 
 def names() -> tuple[str, ...]:
     """The robots in the catalogue, in alphabetical order."""
-    return tuple(sorted(_ROBOTS))
+    return tuple(sorted(CATALOGUE))
 
 
 def get(name: str) -> Arm:
@@ -51,6 +30,19 @@ def get(name: str) -> Arm:
     Raises:
         ValueError: No such name; the names are listed.
     """
-    if name not in _ROBOTS:
+    return _entry(name).build()
+
+
+def poses(name: str) -> dict[str, tuple[float, ...]]:
+    """The published poses of a robot, by name: its joints [rad, m], each within the joint limits.
+
+    Raises:
+        ValueError: No such name; the names are listed.
+    """
+    return dict(_entry(name).poses)
+
+
+def _entry(name: str) -> Entry:
+    if name not in CATALOGUE:
         raise ValueError(f"no robot {name!r}; the catalogue has {', '.join(names())}")
-    return _ROBOTS[name]()
+    return CATALOGUE[name]

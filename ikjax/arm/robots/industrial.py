@@ -7,8 +7,11 @@ that couple joints are left out.
 import numpy as np
 
 from ikjax.arm.arm import Arm
+from ikjax.arm.robots.catalogue import robot
 
 DEG = np.pi / 180
+QUARTER = np.pi / 2
+ZERO = (0,) * 6
 
 
 def _ortho(name: str, a, alpha, d, theta, limits, base=None) -> Arm:
@@ -24,10 +27,12 @@ def _ortho(name: str, a, alpha, d, theta, limits, base=None) -> Arm:
     )
 
 
+@robot(zero=ZERO)
 def irb120() -> Arm:
     """ABB IRB 120-3/0.6, to tool0.
 
     Source: ABB, Product specification IRB 120, 3HAC035960.
+    Poses: "all_zero" of ROS-Industrial, abb, moveit/abb_irb120_moveit_config, abb_irb120_3_58.srdf.
     """
     return _ortho(
         "irb120",
@@ -39,10 +44,12 @@ def irb120() -> Arm:
     )
 
 
+@robot(zero=ZERO)
 def irb2400() -> Arm:
     """ABB IRB 2400/10, to tool0; joint 3 is counted from the upper arm, not from the bars.
 
     Source: ABB, Product specification IRB 2400; lengths also in the ROS-Industrial OPW examples.
+    Poses: "Home" of ROS-Industrial, abb, irb_2400_moveit_config, irb_2400.srdf.
     """
     return _ortho(
         "irb2400",
@@ -54,10 +61,14 @@ def irb2400() -> Arm:
     )
 
 
+@robot(zero=ZERO, start=(0, -QUARTER, QUARTER, 0, QUARTER, 0))
 def kr6_r900() -> Arm:
     """KUKA KR 6 R900 sixx: axis 1 points down, the upper arm lies level at zero.
 
     Source: KUKA, Specification KR AGILUS sixx.
+    Poses: "null_pos" of kroshu, kuka_robot_descriptions, kuka_kr_moveit_config, kr_arm_macro.xacro; the
+    start position of ROS-Industrial, kuka_experimental, kuka_rsi_hw_interface, KR_C4/ros_rsi.src: upper
+    arm upright, forearm level, flange down.
     """
     return _ortho(
         "kr6_r900",
@@ -70,10 +81,13 @@ def kr6_r900() -> Arm:
     )
 
 
+@robot(zero=ZERO)
 def lrmate200id() -> Arm:
     """FANUC LR Mate 200iD; joint 3 is counted from the upper arm, where FANUC counts from level.
 
     Source: FANUC, LR Mate 200iD data sheet; limits as in its ROS-Industrial description.
+    Poses: "all-zeros" of ROS-Industrial, fanuc, fanuc_lrmate200id_moveit_config, fanuc_lrmate200id.srdf.
+    Both ways of counting joint 3 have the same zero, because joint 2 is zero there.
     """
     return _ortho(
         "lrmate200id",
@@ -85,10 +99,12 @@ def lrmate200id() -> Arm:
     )
 
 
+@robot(zero=ZERO)
 def rx160() -> Arm:
     """Staubli RX160: the arm stands straight up at zero.
 
     Source: Staubli, Arm RX series 160 family, instruction manual.
+    Poses: "all-zeros" of ROS-Industrial, staubli, staubli_rx160_moveit_config, staubli_rx160.srdf.
     """
     return _ortho(
         "rx160",

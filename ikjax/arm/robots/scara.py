@@ -3,10 +3,12 @@
 import numpy as np
 
 from ikjax.arm.arm import Arm
+from ikjax.arm.robots.catalogue import robot
 
 DEG = np.pi / 180
 
 
+@robot(zero=(0, 0, 0, 0))
 def gx4_351s() -> Arm:
     """Epson GX4-351S, table top, to the shaft's lower end when it is up; the base's height is left out.
 
@@ -14,6 +16,8 @@ def gx4_351s() -> Arm:
     joint 4 that we could read, so it has none.
 
     Source: Epson, GX series, Standard Work Envelope: arms 220 and 130 mm, 140 and 142 deg, 150 mm.
+    Poses: where every joint stands at 0 pulses, after Epson, GX series, Work Envelope Setting by Pulse
+    Range: both arms along x, the shaft at its upper end.
     """
     return Arm.from_dh(
         a=[0.22, 0.13, 0, 0],

@@ -3,15 +3,25 @@
 import numpy as np
 
 from ikjax.arm.arm import Arm
+from ikjax.arm.robots.catalogue import robot
 
 DEG = np.pi / 180
+QUARTER = np.pi / 2
 
 
+@robot(
+    zero=(0, 0, 0, 0, 0, 0),
+    ready=(0, QUARTER, -QUARTER, 0, 0, 0),
+    stretch=(0, 0, -QUARTER, 0, 0, 0),
+    # Corke's joint 3 is half a turn forward, which his limits do not allow; half a turn back is the same.
+    nominal=(0, QUARTER / 2, -2 * QUARTER, 0, QUARTER / 2, 0),
+)
 def puma560() -> Arm:
     """Unimation PUMA 560.
 
     Source: Corke and Armstrong-Helouvry, A search for consensus among model parameters reported
     for the PUMA 560 robot (1994); limits as in Corke, Robotics, Vision and Control.
+    Poses: qz, qr, qs and qn of Corke, Robotics Toolbox for Python, models/DH/Puma560.py.
     """
     return Arm.from_dh(
         a=[0, 0.4318, 0.0203, 0, 0, 0],
@@ -23,6 +33,7 @@ def puma560() -> Arm:
     )
 
 
+@robot(zero=(0, 0, 0, 0, 0, 0))
 def elbow_manipulator(a2: float = 0.4, a3: float = 0.3, a4: float = 0.1) -> Arm:
     """The lectures' elbow manipulator; its three lengths [m] are free, the defaults are ours.
 
@@ -37,6 +48,8 @@ def elbow_manipulator(a2: float = 0.4, a3: float = 0.3, a4: float = 0.1) -> Arm:
     )
 
 
+# No pose: the only published one, Corke's qz, is all zeros, where the slide is short of its range.
+@robot()
 def stanford() -> Arm:
     """The Stanford arm, RRPRRR: two turns, a slide, a spherical wrist.
 
@@ -57,6 +70,7 @@ def stanford() -> Arm:
     )
 
 
+@robot(zero=(0, 0))
 def planar_2r(l1: float = 0.5, l2: float = 0.4) -> Arm:
     """Two links in a plane; the lengths [m] are free, the defaults are ours. Task "planar_position".
 
@@ -65,6 +79,7 @@ def planar_2r(l1: float = 0.5, l2: float = 0.4) -> Arm:
     return Arm.from_dh(a=[l1, l2], alpha=[0, 0], d=[0, 0], convention="standard", name="planar_2r")
 
 
+@robot(zero=(0, 0, 0))
 def planar_3r(l1: float = 0.5, l2: float = 0.4, l3: float = 0.2) -> Arm:
     """Three links in a plane; the lengths [m] are free, the defaults are ours. Task "planar_pose".
 
@@ -73,6 +88,7 @@ def planar_3r(l1: float = 0.5, l2: float = 0.4, l3: float = 0.2) -> Arm:
     return Arm.from_dh(a=[l1, l2, l3], alpha=[0, 0, 0], d=[0, 0, 0], convention="standard", name="planar_3r")
 
 
+@robot(zero=(0, 0, 0))
 def planar_rpr(l3: float = 0.3) -> Arm:
     """A turn, a telescope along it, a turn: x = S c1 + l3 c13, y = S s1 + l3 s13. Task "planar_pose".
 
@@ -89,10 +105,13 @@ def planar_rpr(l3: float = 0.3) -> Arm:
     )
 
 
+# At zero the slide is short of its range.
+@robot(stretch=(10, 0, 0))
 def planar_prr(l2: float = 7.0, l3: float = 5.0) -> Arm:
     """A slide along y, then two links that point along y at zero: x = -l2 s2 - l3 s23. Task "planar_pose".
 
-    The lengths [m] and limits are those of the lectures' slides on PRR arms.
+    The lengths [m] and limits are those of the lectures' slides on PRR arms; stretched out it stands at
+    (0, 22), the slides' first question.
     """
     upright = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
     return Arm.from_dh(
