@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 
 import ikjax
+from ikjax.core.trig import Angle
+from ikjax.solvers import polish
+from ikjax.solvers.branch import Slide
 
 HALF_PI = np.pi / 2
 UR10E = {
@@ -152,6 +155,13 @@ def test_every_answer_of_an_arm_off_by_a_thousandth_is_found():
     q, _, sol = _solved(arm, 2000)
     least = np.linalg.svd(np.asarray(ikjax.jacobian(arm, q)), compute_uv=False).min(-1)
     assert (_found(q, sol) < 1e-5)[least > 1e-3].all() and (least > 1e-3).mean() > 0.98
+
+
+def test_the_other_side_of_a_fold_is_as_far_away():
+    assert polish._mirrored(Slide(0.5), Slide(0.7)).value == pytest.approx(0.3)
+    start, joint = (Angle(np.sin(t), np.cos(t), ()) for t in (2.9, -2.9))
+    mirrored = polish._mirrored(start, joint)
+    assert np.arctan2(mirrored.sin, mirrored.cos) == pytest.approx(2 * 2.9 - (2 * np.pi - 2.9))
 
 
 def test_the_jacobian_is_that_of_the_arm_as_given():

@@ -1,26 +1,14 @@
 import dataclasses
-import importlib
 import math
 
 import jax
 import numpy as np
+import peers
 import pytest
 
 import ikjax
 
 fk_and_frames = jax.jit(lambda arm, q: (ikjax.fk(arm, q), ikjax.frames(arm, q)))
-SSIK = {
-    "irb120": "abb.irb120_ik",
-    "kr6_r900": "kuka.kr6_r900_ik",
-    "lrmate200id": "fanuc.lrmate200id_ik",
-    "rx160": "staubli.rx160_ik",
-    "puma560": "unimation.puma560_ik",
-    "ur3e": "universal_robots.ur3e_ik",
-    "ur5": "universal_robots.ur5_ik",
-    "ur5e": "universal_robots.ur5e_ik",
-    "ur10e": "universal_robots.ur10e_ik",
-}
-HALF_TURN = np.diag([-1.0, -1, 1, 1])
 
 
 def our_chain(arm, q):
@@ -32,9 +20,7 @@ def our_chain(arm, q):
 
 def ssik_joints(name):
     """The joints of ssik's own model of an arm."""
-    pytest.importorskip("ssik")
-    module = importlib.import_module(f"ssik.prebuilt.{SSIK[name]}")
-    return next(x for x in vars(module).values() if type(x).__name__ == "KinBody").joints
+    return next(x for x in vars(peers.ssik(name)).values() if type(x).__name__ == "KinBody").joints
 
 
 def turn(axis, angle):
@@ -48,7 +34,7 @@ def turn(axis, angle):
 
 def their_chain(name, q):
     """Where ssik's tool stands, and each joint's axis with a point on it."""
-    T, axes = HALF_TURN if name.startswith("ur") else np.eye(4), []
+    T, axes = peers.ssik_base(name), []
     for joint, angle in zip(ssik_joints(name), q, strict=True):
         T = T @ joint.T_left
         axes.append((T[:3, :3] @ joint.axis, T[:3, 3]))
@@ -58,7 +44,7 @@ def their_chain(name, q):
 
 def test_the_catalogue_is_listed_in_alphabetical_order():
     names = ikjax.robots.names()
-    assert list(names) == sorted(names) and set(SSIK) < set(names)
+    assert list(names) == sorted(names) and set(peers.SSIK) < set(names)
     for name in names:
         assert ikjax.robots.get(name).name == name == getattr(ikjax.robots, name)().name
 
@@ -72,7 +58,7 @@ def test_an_unknown_robot_is_answered_with_the_list():
         ikjax.robots.poses("puma")
 
 
-@pytest.mark.parametrize("name", SSIK)
+@pytest.mark.parametrize("name", peers.SSIK)
 def test_joints_turn_about_the_same_lines_as_in_ssik(name, rng):
     q = rng.uniform(-math.pi, math.pi, (4, 6))
     for joints, ours in zip(q, our_chain(ikjax.robots.get(name), q)[1], strict=True):
@@ -81,7 +67,7 @@ def test_joints_turn_about_the_same_lines_as_in_ssik(name, rng):
             np.testing.assert_allclose(np.cross(axis, frame[:3, 3] - point), 0, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", SSIK)
+@pytest.mark.parametrize("name", peers.SSIK)
 def test_the_tool_stands_where_ssik_says_up_to_a_fixed_turn(name, rng):
     q = rng.uniform(-math.pi, math.pi, (4, 6))
     ours = our_chain(ikjax.robots.get(name), q)[0]
@@ -91,7 +77,7 @@ def test_the_tool_stands_where_ssik_says_up_to_a_fixed_turn(name, rng):
     np.testing.assert_allclose(ours @ fixed, theirs, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", [name for name in SSIK if name != "puma560" and name[:2] != "ur"])
+@pytest.mark.parametrize("name", [name for name in peers.SSIK if name != "puma560" and name[:2] != "ur"])
 def test_joint_limits_are_those_in_ssik(name):
     # ssik's PUMA has no limits of its own, and its UR arms keep the elbow to half a turn.
     wanted = [joint.limits for joint in ssik_joints(name)]

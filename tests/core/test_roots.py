@@ -208,3 +208,14 @@ class TestCircleQuartic:
 
         p = jnp.asarray(polynomial, dtype)
         assert np.isfinite(total(p)) and np.isfinite(jax.grad(total)(p)).all()
+
+
+def test_the_last_step_ends_on_the_root():
+    # cos(2t) = cos(0.6) at t = 0.3, seen from 1e-5 beside it.
+    polynomial = (1.0, 0.0, 0.0, 0.0, -np.cos(0.6))
+    beside = jnp.asarray(0.3 + 1e-5)
+    sine, cosine = roots._polished(polynomial, jnp.sin(beside), jnp.cos(beside), jnp.asarray(True))
+    np.testing.assert_allclose(np.arctan2(sine, cosine), 0.3, atol=1e-9)
+    assert roots._polished(polynomial, jnp.sin(beside), jnp.cos(beside), jnp.asarray(False))[0] == jnp.sin(
+        beside
+    )
