@@ -6,6 +6,7 @@ Source: Spong, Robot Modeling and Control, equation (3.10).
 
 import functools
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -150,18 +151,33 @@ def coupled(arm: Arm, q: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
     return tuple(functools.reduce(plus, map(times, row, q)) for row in rows)
 
 
-def _chain(arm: Arm, q: jax.Array) -> list[Pose]:
+class Chain(NamedTuple):
+    """Where everything stands, in scalars and in the world."""
+
+    before: list[Pose]
+    """The frame before each joint, the base first."""
+    ends: list[Pose]
+    """The end of each link, before what the arm as given is off by there."""
+    last: Pose
+    """The frame that the tool is mounted on."""
+
+
+def chain(arm: Arm, q: tuple[Scalar, ...], hold: Callable[[Scalar], Scalar] = lambda x: x) -> Chain:
+    """Every frame at joint values q; each is held, see `ik.graph`."""
     frame, off = fixed_pose(arm.base), corrections(arm)
     frame = frame if off is None else poses.compose(frame, off[0])
-    frames = [frame]
-    values = coupled(arm, tuple(q[..., i] for i in range(arm.n)))
-    for i, link in enumerate(links(arm)):
-        turn, slide = (values[i], 0) if link.kind == "R" else (0, values[i])
+    before, ends = [], []
+    for i, (link, value) in enumerate(zip(links(arm), coupled(arm, q), strict=True)):
+        before.append(frame)
+        turn, slide = (value, 0) if link.kind == "R" else (0, value)
         joint = Joint(*known_sincos(link.theta + turn), link.d + slide)
-        frame = advance(frame, link, joint)
-        frame = frame if off is None else poses.compose(frame, off[i + 1])
-        frames.append(frame)
-    return frames
+        ends.append(jax.tree.map(hold, advance(frame, link, joint)))
+        frame = ends[-1] if off is None else jax.tree.map(hold, poses.compose(ends[-1], off[i + 1]))
+    return Chain(before, ends, frame)
+
+
+def _columns(q: jax.Array) -> tuple[jax.Array, ...]:
+    return tuple(q[..., i] for i in range(q.shape[-1]))
 
 
 def check_joints(arm: Arm, q) -> jax.Array:
@@ -185,7 +201,7 @@ def fk(arm: Arm, q) -> jax.Array:
     Raises:
         ValueError: q of another length.
     """
-    last = _chain(arm, check_joints(arm, q))[-1]
+    last = chain(arm, _columns(check_joints(arm, q))).last
     return poses.to_matrix(poses.compose(last, fixed_pose(arm.tool)))
 
 
@@ -193,5 +209,6 @@ def frames(arm: Arm, q) -> jax.Array:
     """Where the base and every link stand: (..., n + 1, 4, 4), base first, the tool left out."""
     q = check_joints(arm, q)
     zero = jnp.zeros_like(q[..., 0])
-    spread = [jax.tree.map(lambda x: x + zero, frame) for frame in _chain(arm, q)]
+    found = chain(arm, _columns(q))
+    spread = [jax.tree.map(lambda x: x + zero, frame) for frame in (*found.before, found.last)]
     return jnp.stack([poses.to_matrix(frame) for frame in spread], axis=-3)

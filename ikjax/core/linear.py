@@ -4,18 +4,21 @@ Storey: core. Every entry may be an array of any batch shape.
 Source: the square-root-free Cholesky factorisation; Golub and Van Loan, Matrix Computations, section 4.1.
 """
 
+from collections.abc import Callable
+
 from ikjax.core import safe
 from ikjax.core.trig import Scalar
 
 Row = list[Scalar]
 
 
-def solve_symmetric(matrix: list[Row], right: Row) -> Row:
+def solve_symmetric(matrix: list[Row], right: Row, hold: Callable[[Scalar], Scalar] = lambda x: x) -> Row:
     """x with matrix x = right, for a symmetric positive definite matrix; zeros where a pivot is zero.
 
     Args:
         matrix: n rows of n entries, of which the lower triangle is looked at.
         right: n entries.
+        hold: Called on each entry of the factors and of x; see `ik.graph`.
     """
     n = len(right)
     lower: list[Row] = [[0.0] * n for _ in range(n)]
@@ -29,16 +32,19 @@ def solve_symmetric(matrix: list[Row], right: Row) -> Row:
             scaled.append(entry)
         pivot = matrix[i][i]
         for j in range(i):
-            lower[i][j] = scaled[j] * inverse_pivots[j]
+            lower[i][j] = hold(scaled[j] * inverse_pivots[j])
             pivot = pivot - scaled[j] * lower[i][j]
-        inverse_pivots.append(safe.divide(1, pivot))
+        inverse_pivots.append(hold(safe.divide(1, pivot)))
+    # Each entry is held where it is whole: later ones need all of them.
     x = list(right)
     for i in range(n):
         for j in range(i):
             x[i] = x[i] - lower[i][j] * x[j]
+        x[i] = hold(x[i])
     for i in range(n):
         x[i] = x[i] * inverse_pivots[i]
     for i in reversed(range(n)):
         for j in range(i + 1, n):
             x[i] = x[i] - lower[j][i] * x[j]
+        x[i] = hold(x[i])
     return x

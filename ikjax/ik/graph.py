@@ -61,8 +61,9 @@ def opaque_one(like: jax.Array) -> jax.Array:
 
 
 def is_small(arm: Arm) -> bool:
-    """Whether the arm's kernel can be one fused loop."""
-    return FAMILIES[str(arm.family)].small and arm.correction is None
+    """Whether the arm's kernel can be one fused loop: not where its zeros and ones are not known."""
+    traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(arm))
+    return FAMILIES[str(arm.family)].small and arm.correction is None and not traced
 
 
 def solve_here(arm: Arm, goals: jax.Array, q_now, tolerance) -> Solutions:

@@ -1,0 +1,152 @@
+"""Slopes of joints and margins: one implicit rule for every family.
+
+Storey: ik. The branch algebra is never differentiated for joints. A slot that reaches its goal keeps
+reaching it, so its joints move by dq = J^+ (what the goal moved - what the arm moved at fixed joints),
+
+    J^+ = (J^T J + damping^2 I)^-1 J^T,
+
+with lengths as shares of the reach and only the rows that the task asks for. Far from a singularity
+that is the derivative, to (damping / sigma_min)^2; at one it is finite, the least motion that follows.
+Slots that reach nothing stand still. Margins are differentiated as they are written.
+
+Source: the implicit function theorem; damped least squares after Wampler (1986), Nakamura and
+Hanafusa (1986).
+"""
+
+import functools
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+
+from ikjax.arm import rates
+from ikjax.arm.arm import Arm
+from ikjax.arm.forward import chain, fixed_pose
+from ikjax.core import pose as poses
+from ikjax.core import vector
+from ikjax.core.linear import solve_symmetric
+from ikjax.core.trig import Scalar
+from ikjax.ik.graph import entries_of, opaque_one, slots_of
+from ikjax.solvers.family import reach
+
+DAMPING = 16
+"""In square roots of the type's rounding: below it, J^T J is rounding."""
+
+Build = Callable[[list], Arm]
+"""The arm of its leaves that are traced."""
+
+
+def with_slopes(arm: Arm, goals: jax.Array, q, valid, margin, damping: float | None):
+    """Joints and margins as they are, with their derivatives in the arm and the goals.
+
+    Args:
+        arm: Its leaves may be traced.
+        goals: (..., 4, 4).
+        q, valid, margin: Of `Solutions`, without derivatives.
+        damping: Of the pseudo-inverse; None is `DAMPING` square roots of the rounding.
+
+    Returns:
+        q and margin.
+    """
+    if damping is None:
+        damping = DAMPING * float(jnp.finfo(q.dtype).eps) ** 0.5
+    leaves, form = jax.tree.flatten(arm)
+
+    def build(leaves: list) -> Arm:
+        return jax.tree.unflatten(form, leaves) if leaves else baked
+
+    if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+        baked = arm
+    else:
+        leaves, baked = [], arm.baked()
+    return (
+        _joints(build, damping, leaves, goals, q, valid),
+        _margins(build, leaves, goals, margin),
+    )
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
+def _joints(build: Build, damping: float, leaves: list, goals, q, valid):
+    return q
+
+
+@_joints.defjvp
+def _(build: Build, damping: float, primals, tangents):
+    leaves, goals, q, valid = primals
+    # Joints with their slopes, for slopes of this slope.
+    q = _joints(build, damping, leaves, goals, q, valid)
+    return q, _motion(build, leaves, tangents[0], tangents[1], q, valid, damping)
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _margins(build: Build, leaves: list, goals, margin):
+    return margin
+
+
+@_margins.defjvp
+def _(build: Build, primals, tangents):
+    leaves, goals, margin = primals
+
+    def written(leaves, goals):
+        slots = slots_of(build(leaves), entries_of(goals), None, None)
+        return jnp.stack([jnp.broadcast_to(s.margin, goals.shape[:-2]) for s in slots], axis=-1)
+
+    _, slope = jax.jvp(written, (leaves, goals), tangents[:2])
+    return _margins(build, leaves, goals, margin), slope
+
+
+def _motion(build: Build, leaves, leaf_rates, goal_rates, q, valid, damping):
+    """How the joints move, (..., S, n). Slots lead, so that each number is one array (S, ...)."""
+    count, arm = q.shape[-2], build(leaves)
+    one = opaque_one(q[..., 0, 0])[None]
+
+    def hold(x: Scalar) -> Scalar:
+        return x if isinstance(x, float) else x / one
+
+    def slots_first(x):
+        return jnp.stack([x[..., s] for s in range(count)])
+
+    joints = tuple(slots_first(q[..., i]) for i in range(arm.n))
+    found = chain(arm, joints, hold)
+    reached = poses.compose(found.last, fixed_pose(arm.tool))
+    wished = tuple(tuple(x[None] for x in row) for row in entries_of(goal_rates)[:3])
+    # The goal's own rotation is not looked at: where nothing is valid it may hold anything.
+    turn = rates.spin(reached.rotation, tuple(row[:3] for row in wished))
+    twist = rates.Twist(tuple(row[3] for row in wished), turn)
+    if leaves:
+        own = rates.of_numbers(arm, build(leaf_rates), joints, found, reached.position)
+        twist = twist.plus(own.times(-1.0))
+    size = reach(arm)
+    rows = _rows(arm, 1 / size)
+    wanted = [hold(x) for x in rows(twist)]
+    # A slide counts in reaches too.
+    units = [size if kind == "P" else 1.0 for kind in arm.kinds]
+    motions = zip(units, rates.of_motors(arm, found, reached.position), strict=True)
+    columns = [[hold(x) for x in rows(motion.times(unit))] for unit, motion in motions]
+    matrix = [[_dot(u, v) for v in columns] for u in columns]
+    for i in range(arm.n):
+        matrix[i][i] = matrix[i][i] + damping * damping
+    steps = solve_symmetric(matrix, [_dot(u, wanted) for u in columns], hold)
+    still = ~slots_first(valid)
+    moves = [jnp.where(still, 0, unit * step) for unit, step in zip(units, steps, strict=True)]
+    return jnp.stack([jnp.moveaxis(jnp.broadcast_to(x, still.shape), 0, -1) for x in moves], axis=-1)
+
+
+def _rows(arm: Arm, per_reach: Scalar) -> Callable[[rates.Twist], tuple[Scalar, ...]]:
+    """What the task asks of a velocity, in its rows; lengths in reaches."""
+    x, y, z = vector.transpose(fixed_pose(arm.base).rotation)
+
+    def rows(twist: rates.Twist) -> tuple[Scalar, ...]:
+        linear, angular = vector.scale(per_reach, twist.linear), twist.angular
+        if arm.task == "pose":
+            return (*linear, *angular)
+        if arm.task == "position":
+            return linear
+        ahead = vector.dot(x, linear), vector.dot(y, linear)
+        return ahead if arm.task == "planar_position" else (*ahead, vector.dot(z, angular))
+
+    return rows
+
+
+def _dot(u, v) -> Scalar:
+    return functools.reduce(vector.plus, map(vector.times, u, v))
