@@ -38,7 +38,16 @@ def _twist(alpha: Scalar, noise: float) -> tuple[Scalar, ...]:
         exact = (math.sin(alpha), math.cos(alpha))
         return tuple(float(round(x)) if abs(x - round(x)) < noise else x for x in exact)
     # The value is snapped, the slope is not: twists stay differentiable.
-    return tuple(x + jax.lax.stop_gradient(jnp.where(jnp.abs(x) < noise, -x, 0)) for x in sincos(alpha))
+    snapped = (x + jax.lax.stop_gradient(jnp.where(jnp.abs(x) < noise, -x, 0)) for x in sincos(alpha))
+    return tuple(map(_found_once, snapped))
+
+
+def _found_once(x: jax.Array) -> jax.Array:
+    """A number of a traced arm as a value of its own: XLA would find it again for every goal.
+
+    A division is dear enough that it stays out of the loops which read it.
+    """
+    return x / jnp.where(x == x, 1, 2).astype(x.dtype)
 
 
 def links(arm: Arm) -> tuple[Link, ...]:
@@ -61,9 +70,11 @@ def fixed_pose(matrix) -> Pose:
     return Pose(tuple(row[:3] for row in rows), tuple(row[3] for row in rows))
 
 
-def known_sincos(angle: Scalar) -> tuple[Scalar, Scalar]:
-    """Sine and cosine, as Python floats where the angle is known while tracing."""
-    return (math.sin(angle), math.cos(angle)) if isinstance(angle, float) else sincos(angle)
+def known_sincos(angle: Scalar) -> tuple[Scalar, ...]:
+    """Sine and cosine of an angle of the arm, as Python floats where it is known while tracing."""
+    if isinstance(angle, float):
+        return math.sin(angle), math.cos(angle)
+    return tuple(map(_found_once, sincos(angle)))
 
 
 class Joint(NamedTuple):
@@ -170,7 +181,7 @@ def chain(arm: Arm, q: tuple[Scalar, ...], hold: Callable[[Scalar], Scalar] = la
     for i, (link, value) in enumerate(zip(links(arm), coupled(arm, q), strict=True)):
         before.append(frame)
         turn, slide = (value, 0) if link.kind == "R" else (0, value)
-        joint = Joint(*known_sincos(link.theta + turn), link.d + slide)
+        joint = Joint(*map(hold, sincos(link.theta + turn)), link.d + slide)
         ends.append(jax.tree.map(hold, advance(frame, link, joint)))
         frame = ends[-1] if off is None else jax.tree.map(hold, poses.compose(ends[-1], off[i + 1]))
     return Chain(before, ends, frame)

@@ -52,7 +52,8 @@ def holder(like: jax.Array):
     optimization barrier is gone by the time it decides that.
     """
     one = opaque_one(like)
-    return lambda x: x / (one if jnp.ndim(x) <= one.ndim else one[None])
+    # A division by a number that is spread out would become a multiplication, and be done again.
+    return lambda x: x / (one if jnp.ndim(x) <= one.ndim else opaque_one(x))
 
 
 def opaque_one(like: jax.Array) -> jax.Array:

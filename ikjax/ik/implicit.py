@@ -26,7 +26,7 @@ from ikjax.core import pose as poses
 from ikjax.core import vector
 from ikjax.core.linear import solve_symmetric
 from ikjax.core.trig import Scalar
-from ikjax.ik.graph import entries_of, opaque_one, slots_of
+from ikjax.ik.graph import entries_of, holder, opaque_one, slots_of
 from ikjax.solvers.family import reach
 
 DAMPING = 16
@@ -88,7 +88,8 @@ def _(build: Build, primals, tangents):
     leaves, goals, margin = primals
 
     def written(leaves, goals):
-        slots = slots_of(build(leaves), entries_of(goals), None, None)
+        hold = holder(goals[..., 0, 3])
+        slots = slots_of(build(leaves), entries_of(goals), None, None, hold=hold)
         return jnp.stack([jnp.broadcast_to(s.margin, goals.shape[:-2]) for s in slots], axis=-1)
 
     _, slope = jax.jvp(written, (leaves, goals), tangents[:2])
@@ -98,13 +99,15 @@ def _(build: Build, primals, tangents):
 def _motion(build: Build, leaves, leaf_rates, goal_rates, q, valid, damping):
     """How the joints move, (..., S, n). Slots lead, so that each number is one array (S, ...)."""
     count, arm = q.shape[-2], build(leaves)
-    one = opaque_one(q[..., 0, 0])[None]
-
-    def hold(x: Scalar) -> Scalar:
-        return x if isinstance(x, float) else x / one
 
     def slots_first(x):
         return jnp.stack([x[..., s] for s in range(count)])
+
+    # Of the whole shape: a division by a number that is spread out becomes a multiplication.
+    one = opaque_one(slots_first(q[..., 0]))
+
+    def hold(x: Scalar) -> Scalar:
+        return x if not isinstance(x, jax.Array) else x / one
 
     joints = tuple(slots_first(q[..., i]) for i in range(arm.n))
     found = chain(arm, joints, hold)
@@ -123,11 +126,17 @@ def _motion(build: Build, leaves, leaf_rates, goal_rates, q, valid, damping):
     units = [size if kind == "P" else 1.0 for kind in arm.kinds]
     motions = zip(units, rates.of_motors(arm, found, reached.position), strict=True)
     columns = [[hold(x) for x in rows(motion.times(unit))] for unit, motion in motions]
-    matrix = [[_dot(u, v) for v in columns] for u in columns]
+    matrix = [[hold(_dot(u, v)) for v in columns] for u in columns]
     for i in range(arm.n):
         matrix[i][i] = matrix[i][i] + damping * damping
-    steps = solve_symmetric(matrix, [_dot(u, wanted) for u in columns], hold)
     still = ~slots_first(valid)
+    right = [hold(jnp.broadcast_to(_dot(u, wanted), still.shape)) for u in columns]
+    steps = jax.lax.custom_linear_solve(
+        lambda x: [_dot(row, x) for row in matrix],
+        right,
+        lambda _, b: solve_symmetric(matrix, b, hold),
+        symmetric=True,
+    )
     moves = [jnp.where(still, 0, unit * step) for unit, step in zip(units, steps, strict=True)]
     return jnp.stack([jnp.moveaxis(jnp.broadcast_to(x, still.shape), 0, -1) for x in moves], axis=-1)
 
