@@ -70,11 +70,12 @@ def fixed_pose(matrix) -> Pose:
     return Pose(tuple(row[:3] for row in rows), tuple(row[3] for row in rows))
 
 
-def known_sincos(angle: Scalar) -> tuple[Scalar, ...]:
+def known_sincos(angle: Scalar) -> tuple[Scalar, Scalar]:
     """Sine and cosine of an angle of the arm, as Python floats where it is known while tracing."""
     if isinstance(angle, float):
         return math.sin(angle), math.cos(angle)
-    return tuple(map(_found_once, sincos(angle)))
+    sine, cosine = sincos(angle)
+    return _found_once(sine), _found_once(cosine)
 
 
 class Joint(NamedTuple):
@@ -181,7 +182,9 @@ def chain(arm: Arm, q: tuple[Scalar, ...], hold: Callable[[Scalar], Scalar] = la
     for i, (link, value) in enumerate(zip(links(arm), coupled(arm, q), strict=True)):
         before.append(frame)
         turn, slide = (value, 0) if link.kind == "R" else (0, value)
-        joint = Joint(*map(hold, sincos(link.theta + turn)), link.d + slide)
+        angle = link.theta + turn
+        sine, cosine = known_sincos(angle) if isinstance(angle, float) else sincos(angle)
+        joint = Joint(hold(sine), hold(cosine), link.d + slide)
         ends.append(jax.tree.map(hold, advance(frame, link, joint)))
         frame = ends[-1] if off is None else jax.tree.map(hold, poses.compose(ends[-1], off[i + 1]))
     return Chain(before, ends, frame)

@@ -81,50 +81,65 @@ def differences(f, step=1e-6):
     return (8 * near - far) / (12 * step)
 
 
-def agree(name, arm, q_of, ok, tolerance=1e-6):
-    """jax.jvp of q_of(t) at t = 0 against differences of it."""
-    q_of = jax.jit(q_of)
-    _, slope = jax.jvp(q_of, (0.0,), (1.0,))
-    wrapped = lambda t: np.asarray(q_of(0.0)) + arms.wrapped(np.asarray(q_of(t)) - np.asarray(q_of(0.0)))  # noqa: E731
+def agree(arm, moved_q, ok, tolerance):
+    """The slope of moved_q(t) at t = 0 against differences of it; moved_q gives both."""
+    start, slope = map(np.asarray, moved_q(0.0))
     turning = np.array([kind == "R" for kind in arm.kinds])
-    rough = differences(lambda t: np.where(turning, wrapped(t), np.asarray(q_of(t))))
+
+    def unwrapped(t):
+        q = np.asarray(moved_q(t)[0])
+        return np.where(turning, start + arms.wrapped(q - start), q)
+
+    rough = differences(unwrapped)
     size = 1 + np.abs(rough).max(-1, keepdims=True)
-    assert ok.sum() > 10, name
-    assert (np.abs(slope - rough) / size)[ok].max() < tolerance, name
+    assert ok.sum() > 10
+    assert (np.abs(slope - rough) / size)[ok].max() < tolerance
 
 
-@pytest.mark.parametrize("name", EVERY)
-def test_joints_follow_the_goal_and_every_free_leaf(name):
-    arm, goals, _, ok = case(name)
-    rng = np.random.default_rng(2)
-    if arm.family != "turret":
-        twist = jnp.asarray(in_plane(arm, rng.normal(size=6)))
-        agree(name, arm, lambda t: ikjax.solve(arm, moved(goals, t * twist)).q, ok)
+def random_rates(name, arm, rng):
+    """Rates of the free entries of the table, and twists of the base and of the goals."""
     rates = {key: np.zeros(arm.n) for key in ("a", "alpha", "d", "theta")}
     for key, places in FREE[name].items():
         rates[key][places] = rng.normal(size=len(places))
-    rates["theta"] = rng.normal(size=arm.n)
     for i, kind in enumerate(arm.kinds):
-        if kind == "P":
-            rates["theta"][i], rates["d"][i] = 0, rng.normal()
-    if arm.family in ("scara", "turret") or arm.task.startswith("planar"):
-        twist = in_plane(arm, rng.normal(size=6))
-    else:
-        twist = rng.normal(size=6)
+        rates["theta" if kind == "R" else "d"][i] = rng.normal()
+    return rates, in_plane(arm, rng.normal(size=6)), in_plane(arm, rng.normal(size=6))
 
-    def along(t):
-        columns = {key: getattr(arm, key) + t * rate for key, rate in rates.items()}
-        other = dataclasses.replace(arm, **columns, base=moved(arm.base, t * twist))
-        return ikjax.solve(other, goals).q
 
-    if arm.family != "turret":
-        agree(name, arm, along, ok, 3e-6)
+@pytest.mark.parametrize("name", [one for one in EVERY if one.values != ("turret",)])
+def test_joints_follow_the_goal_and_every_free_leaf(name):
+    arm, goals, _, ok = case(name)
+    rng = np.random.default_rng(2)
+
+    @jax.jit
+    def both(t, rates):
+        def q(t):
+            columns, base, twist = rates
+            columns = {key: getattr(arm, key) + t * rate for key, rate in columns.items()}
+            other = dataclasses.replace(arm, **columns, base=moved(arm.base, t * base))
+            return ikjax.solve(other, moved(goals, t * twist)).q
+
+        return jax.jvp(q, (t,), (jnp.ones_like(t),))
+
+    columns, base, twist = random_rates(name, arm, rng)
+    still = {key: 0 * rate for key, rate in columns.items()}
+    for rates in ((columns, base, 0 * twist), (still, 0 * base, twist), (columns, 0 * base, twist)):
+        agree(arm, lambda t, rates=rates: both(jnp.asarray(t), rates), ok, 3e-6)
+
+
+def test_joints_of_a_known_arm_follow_the_goal():
+    arm, goals, _, ok = case("puma560")
+    twist = jnp.asarray(np.random.default_rng(2).normal(size=6))
+    follow = jax.jit(
+        lambda t: jax.jvp(lambda t: ikjax.solve(arm, moved(goals, t * twist)).q, (t,), (jnp.ones_like(t),))
+    )
+    agree(arm, lambda t: follow(jnp.asarray(t)), ok, 1e-6)
 
 
 @pytest.mark.parametrize("name", ["3R", pytest.param("puma560", marks=pytest.mark.long)])
 def test_forward_is_reverse(name):
     arm, goals, sol, _ = case(name, 6)
-    weights = jnp.asarray(np.random.default_rng(4).normal(size=sol.q.shape)) * sol.valid[..., None]
+    weights = jnp.where(sol.valid[..., None], np.random.default_rng(4).normal(size=sol.q.shape), 0)
 
     def total(arm, goals):
         return (weights * ikjax.solve(arm, goals).q).sum()
@@ -144,17 +159,22 @@ def test_second_order_vmap_jit_and_remat_agree(name):
     arm, goals, _, ok = case(name, 24)
     goals = goals[ok.all(-1)][:4]
 
-    def total(twist, goal, solve=ikjax.solve):
-        found = solve(arm, moved(goal, twist))
+    # A planar arm's goals stay in its plane.
+    x, y, z = np.asarray(arm.base)[:3, :3].T
+    plane = np.array([[*x, 0, 0, 0], [*y, 0, 0, 0], [0, 0, 0, *z]])
+    ways = jnp.asarray(plane if arm.task == "planar_pose" else np.eye(6))
+
+    def total(move, goal, solve=ikjax.solve):
+        found = solve(arm, moved(goal, move @ ways))
         return jnp.where(found.valid[..., None], jnp.sin(found.q), 0).sum()
 
     slope = jax.jit(jax.grad(total))
-    zero = jnp.zeros(6)
+    zero = jnp.zeros(len(ways))
     goal = goals[0]
     second = jax.jit(jax.hessian(total))(zero, goal)
     step = 1e-5
     rough = np.stack(
-        [(slope(zero.at[i].set(step), goal) - slope(zero.at[i].set(-step), goal)) for i in range(6)]
+        [(slope(zero.at[i].set(step), goal) - slope(zero.at[i].set(-step), goal)) for i in range(len(ways))]
     )
     np.testing.assert_allclose(second, rough / (2 * step), atol=1e-5 * np.abs(second).max())
     np.testing.assert_allclose(second, second.T, atol=1e-6 * np.abs(second).max())
@@ -162,7 +182,7 @@ def test_second_order_vmap_jit_and_remat_agree(name):
     size = np.abs(one).max()
     many = jax.jit(jax.vmap(jax.grad(total), (None, 0)))(zero, goals)
     np.testing.assert_allclose(many, one, atol=1e-9 * size)
-    summed = jax.jit(jax.grad(lambda twist: jax.vmap(total, (None, 0))(twist, goals).sum()))(zero)
+    summed = jax.jit(jax.grad(lambda move: jax.vmap(total, (None, 0))(move, goals).sum()))(zero)
     np.testing.assert_allclose(summed, one.sum(0), atol=1e-9 * size)
     again = jax.jit(jax.grad(functools.partial(total, solve=jax.checkpoint(ikjax.solve, static_argnums=()))))
     np.testing.assert_allclose(again(zero, goal), slope(zero, goal), atol=1e-9 * size)
@@ -213,7 +233,7 @@ def test_a_bad_row_leaves_the_sum_over_the_good_rows():
 
 def test_slots_that_reach_nothing_stand_still():
     arm, goals, _, _ = case("puma560", 3)
-    far = goals.at[:, :3, 3].multiply(jnp.array([1, 100, 1])[:, None])
+    far = goals.at[:, :3, 3].multiply(jnp.array([1.0, 100.0, 1.0])[:, None])
     slopes = jax.jit(jax.jacfwd(lambda t: ikjax.solve(arm, moved(far, t)).q))(jnp.zeros(6))
     assert not slopes[1].any() and slopes[0].any() and slopes[2].any()
 
@@ -240,20 +260,27 @@ def test_damping_bounds_the_slope_at_a_singularity():
     assert 0 < off[ok].max() < 1e-2
 
 
+MARGINS = ("puma560", "RRR, wrist", "2R", "3R")
+MORE_MARGINS = ("ur5", "SCARA RRPR", "2, 3, 4 parallel")
+
+
 @pytest.mark.parametrize(
-    "name", ["puma560", "ur5", "RRR, wrist", "2R", "3R", "SCARA RRPR", "2, 3, 4 parallel"]
+    "name", [*MARGINS, *(pytest.param(name, marks=pytest.mark.long) for name in MORE_MARGINS)]
 )
 def test_margins_have_their_own_slope_inside_and_outside(name):
-    arm, goals, sol, _ = case(name)
+    arm, goals, _, _ = case(name)
     out = goals.at[:, :3, 3].add(1.5 * arms.reach(arm) * goals[:, :3, 0])
+    twist = jnp.asarray(in_plane(arm, np.random.default_rng(3).normal(size=6)))
+
+    @jax.jit
+    def both(t, where):
+        margin = lambda t: ikjax.solve(arm, moved(where, t * twist)).margin  # noqa: E731
+        return jax.jvp(margin, (t,), (jnp.ones_like(t),))
+
     for where in (goals, out):
-        rng = np.random.default_rng(3)
-        twist = jnp.asarray(in_plane(arm, rng.normal(size=6)))
-        margin = jax.jit(lambda t, where=where, twist=twist: ikjax.solve(arm, moved(where, t * twist)).margin)
-        _, slope = jax.jvp(margin, (0.0,), (1.0,))
-        rough = differences(lambda t, margin=margin: np.asarray(margin(t)), 1e-7)
-        assert np.isfinite(slope).all()
+        margin = lambda t, where=where: np.asarray(both(jnp.asarray(t), where)[0])  # noqa: E731
+        slope, rough = both(jnp.asarray(0.0), where)[1], differences(margin, 1e-7)
+        assert np.isfinite(slope).all() and np.abs(slope).max() > 0
         close = np.abs(slope - rough) < 1e-4 * (1 + np.abs(rough))
         # Not where two steps are equally near to failing: there the least of them has a corner.
         assert close.mean() > 0.97
-    assert (np.abs(np.asarray(sol.margin)) > 0).any()
