@@ -8,7 +8,6 @@ import pytest
 
 import ikjax
 from ikjax.core.trig import Angle
-from ikjax.ik.graph import solve_here
 from ikjax.solvers.branch import Setting
 from ikjax.solvers.planar import elbow_algebraic
 from ikjax.solvers.triangle import triangle
@@ -181,5 +180,6 @@ def test_the_catalogue_recovers_its_joints_and_has_finite_slopes(name, dtype):
     near = np.where(sol.valid, off, np.inf).min(-1)
     assert np.quantile(near, 0.97) < (1e-8 if dtype == np.float64 else 5e-3)
     plain = arm.astype(dtype)
-    slope = jax.grad(lambda T: solve_here(plain, T, None, None).margin.sum())(jnp.asarray(goals[:5], dtype))
+    total = jax.jit(jax.grad(lambda T: ikjax.solve(plain, T).margin.sum()))
+    slope = total(jnp.asarray(goals[:5], dtype))
     assert np.isfinite(slope).all()
