@@ -176,6 +176,19 @@ def _turret(t: Table) -> Judgement:
     return checks, _along(t, [1, 2, 3]), _slots(("left", "right"))
 
 
+def _five_axis(t: Table) -> Judgement:
+    checks = [
+        t.not_parallel(1),
+        t.parallel(2),
+        t.parallel(3),
+        t.not_parallel(4),
+        t.apart("axes 2 and 3 apart", t.a[1]),
+        t.apart("axes 3 and 4 apart", t.a[2]),
+    ]
+    signs = (t.up, *map(_sign, (t.sin[0], t.cos[1], t.cos[2], t.sin[3])))
+    return checks, signs, _slots(SHOULDER, ELBOW)
+
+
 def _planar(t: Table) -> Judgement:
     along, points = t.axes()
     turning = [i for i, kind in enumerate(t.kinds) if kind == "R"]
@@ -248,6 +261,12 @@ RULES = {
         "RRR with a P among them",
         _scara,
         "four parallel axes, one of them sliding",
+    ),
+    "five_axis": Rule(
+        "RRRRR",
+        "RRRRR",
+        _five_axis,
+        "axes 2, 3 and 4 parallel, axes 1 and 5 anyhow",
     ),
     "turret": Rule(
         "RRRR",

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from ikjax.solvers import (
+    five_axis,
     ortho_parallel_wrist,
     parallel_axes,
     pieper,
@@ -35,6 +36,7 @@ FAMILIES = {
     "pieper_reversed": Family(pieper.reversed_branches, first=0, last=3),
     "parallel_axes": Family(parallel_axes.branches, first=0, last=0),
     "scara": Family(scara.branches, first=0, last=0, small=True),
+    "five_axis": Family(five_axis.branches, first=0, last=0, small=True),
     "turret": Family(scara.turret_branches, first=0, last=0, small=True),
     "planar_pose": Family(planar.branches, first=0, last=0, small=True),
     "planar_position": Family(planar.branches, first=0, last=0, small=True),

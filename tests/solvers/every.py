@@ -90,6 +90,34 @@ def _others() -> dict:
         "leaning turret": dict(
             kinds="RRRR", a=[0.05, 0.22, 0.13, 0.1], alpha=[70, 0, 0, 20], d=[0.2, 0.03, -0.01, 0.05]
         ),
+        "five axes": dict(
+            kinds="RRRRR", a=[0, 0.4, 0.3, 0, 0], alpha=[-90, 0, 0, 90, 0], d=[0, 0, 0, 0, 0.1]
+        ),
+        "five axes, lateral": dict(
+            kinds="RRRRR",
+            a=[0.06, 0.4, -0.3, 0.05, 0.02],
+            alpha=[90, 180, 0, -90, 30],
+            d=[0.3, 0.05, 0.02, 0.04, 0.1],
+            theta=[0.1, 0.2, 0.3, 0.4, 0.5],
+            base=arms.BASE,
+            tool=TOOL,
+        ),
+        "five axes, leaning": dict(
+            kinds="RRRRR",
+            a=[-0.06, 0.4, 0.3, 0.05, 0.02],
+            alpha=[70, 0, 180, -60, 30],
+            d=[0.3, 0.05, 0.02, 0.04, 0.1],
+            theta=[0.1, 0.2, 0.3, 0.4, 0.5],
+            base=arms.UPSIDE_DOWN,
+            tool=TOOL,
+        ),
+        "five axes, roll first": dict(
+            kinds="RRRRR",
+            a=[0, 0.3, 0.4, 0.1, 0],
+            alpha=[90, 0, 180, -90, 0],
+            d=[0.1, 0.02, 0.02, 0, 0.2],
+            base=arms.BASE,
+        ),
         "2, 3, 4 parallel": dict(alpha=[70, 0, 180, 80, -75, 20], **lengths),
         "3, 4, 5 parallel": dict(alpha=[70, -80, 0, 180, 65, 20], **lengths),
         "4, 5, 6 parallel": dict(alpha=[70, -80, 50, 0, 180, 20], **lengths),

@@ -15,13 +15,14 @@ FAMILY = {
     "point": "position",
     "SCARA": "scara",
     "turret": "turret",
+    "five axes": "five_axis",
     "wrist first": "pieper_reversed",
     "skew wrist": "pieper",
 }
 
 
 def family(name: str) -> str:
-    for part in ("wrist first", "skew wrist", "SCARA", "turret"):
+    for part in ("wrist first", "skew wrist", "SCARA", "turret", "five axes"):
         if part in name:
             return FAMILY[part]
     if "parallel" in name and "," in name and name[0] in "1234":
