@@ -231,15 +231,85 @@ def gx4_351s_of_epson(q):
     return T
 
 
+def motoman_l3_of_craig(q):
+    """Craig, section 3.7: two links in the plane that joint 1 turns; z leans by the whole pitch."""
+    l2, l3, z, y = 0.4, 0.3, (0, 0, 1), (0, 1, 0)  # lengths ours, of the catalogue
+    out = l2 * math.cos(q[1]) + l3 * math.cos(q[1] + q[2])
+    T = turn(z, q[0]) @ turn(y, sum(q[1:4])) @ turn(z, q[4])
+    T[:3, 3] = out * math.cos(q[0]), out * math.sin(q[0]), -l2 * math.sin(q[1]) - l3 * math.sin(q[1] + q[2])
+    return T
+
+
+def katana_6m180_of_the_maker(q):
+    """Neuronics AG, Katana Native Interface, AnaGuess, kinematics6M180.cpp, `directKinematics`, with its
+    segments for the angle gripper [m] and its Euler angles z, x, z.
+
+    Its joints but the second are half a turn on; its frame stands on axis 2, and its tool points along z.
+    """
+    a = np.array(q) + np.array([1, 0, 1, 1, 1]) * math.pi
+    t1, t2, t3, t4, t5 = a[0], a[1] - math.pi / 2, a[2] - math.pi, math.pi - a[3], -a[4]
+    bends = np.array([t2, t2 + t3, t2 + t3 + t4])
+    lengths = np.array([0.190, 0.139, 0.1473 + 0.1555])
+    out, up = lengths @ np.sin(bends), lengths @ np.cos(bends)
+    z, x = (0, 0, 1), (1, 0, 0)
+    T = turn(z, t1 + math.pi / 2) @ turn(x, bends[2]) @ turn(z, t5)
+    T[:3, 3] = out * math.cos(t1), out * math.sin(t1), 0.2015 + up
+    # The description's tool points along x.
+    return T @ turn(z, -math.pi / 2) @ turn((0, 1, 0), -math.pi / 2)
+
+
+def vx300_of_the_maker(q):
+    """Interbotix/interbotix_ros_toolboxes, interbotix_xs_modules, xs_robot/mr_descriptions.py, vx300: screws
+    (w, v) and the home pose, by the product of exponentials (Lynch and Park, Modern Robotics, (4.14))."""
+    screws = [
+        ((0, 0, 1), (0, 0, 0)),
+        ((0, 1, 0), (-0.12705, 0, 0)),
+        ((0, 1, 0), (-0.42705, 0, 0.05955)),
+        ((0, 1, 0), (-0.42705, 0, 0.35955)),
+        ((1, 0, 0), (0, 0.42705, 0)),
+    ]
+    T = np.eye(4)
+    for (axis, moment), angle in zip(screws, q, strict=True):
+        point = np.cross(axis, moment)
+        step = turn(axis, angle)
+        step[:3, 3] = point - step[:3, :3] @ point
+        T = T @ step
+    home = np.eye(4)
+    home[:3, 3] = 0.536494, 0, 0.42705
+    return T @ home
+
+
+def so101_of_its_file(q):
+    """The chain of the file, frame by frame: fixed-axis roll, pitch, yaw, then the turn about z."""
+    chain = [
+        ((0.0207909, -0.0230745, 0.0948817), (-3.14159, 0, 1.5708)),
+        ((-0.0303992, -0.0182778, -0.0542), (-1.5708, -1.5708, 0)),
+        ((-0.11257, -0.028, 0), (0, 0, 1.5708)),
+        ((-0.1349, 0.0052, 0), (0, 0, -1.5708)),
+        ((0, -0.0611, 0.0181), (1.5708, -9.38083e-08, 3.14159)),
+        ((-0.0079, -0.000218121, -0.0981274), (0, 3.14159, 0)),
+    ]
+    T = np.eye(4)
+    for (xyz, (roll, pitch, yaw)), angle in zip(chain, (*q, 0.0), strict=True):
+        origin = turn((0, 0, 1), yaw) @ turn((0, 1, 0), pitch) @ turn((1, 0, 0), roll)
+        origin[:3, 3] = xyz
+        T = T @ origin @ turn((0, 0, 1), angle)
+    return T
+
+
 # Pose after pose in closed form, each written from a text of its own; planar_rpr and planar_prr
 # have theirs in tests/solvers/test_textbooks.py.
 CLOSED = {
     "elbow_manipulator": elbow_manipulator_of_the_lecture,
     "gx4_351s": gx4_351s_of_epson,
     "irb2400": irb2400_of_opw,
+    "katana_6m180": katana_6m180_of_the_maker,
+    "motoman_l3": motoman_l3_of_craig,
     "planar_2r": planar_2r_of_the_slides,
     "planar_3r": planar_3r_of_craig,
+    "so101": so101_of_its_file,
     "stanford": stanford_of_the_notes,
+    "vx300": vx300_of_the_maker,
 }
 
 
@@ -267,3 +337,12 @@ def test_the_gx4_ends_where_epsons_work_envelope_does():
     np.testing.assert_allclose(np.hypot(*near), 0.142, atol=5e-4)
     np.testing.assert_allclose(back[0], -0.2985, atol=5e-5)
     np.testing.assert_allclose(top - back[2], 0.150, atol=1e-12)
+
+
+def test_the_so101_keeps_what_its_file_rounds_and_its_roll_axis_passes_beside_its_first():
+    arm = ikjax.robots.so101()
+    assert arm.family == "five_axis"
+    np.testing.assert_allclose(np.abs(arm.correction)[:, 3:].max(), 3.673e-6, atol=1e-9)
+    np.testing.assert_allclose(abs(sum(arm.d[1:4])), 1.8e-4, atol=2e-6)
+    # The tip is this far off the roll axis.
+    np.testing.assert_allclose(np.hypot(*arm.tool[:2, 3]), 7.9e-3, atol=1e-5)

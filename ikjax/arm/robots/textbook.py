@@ -48,6 +48,23 @@ def elbow_manipulator(a2: float = 0.4, a3: float = 0.3, a4: float = 0.1) -> Arm:
     )
 
 
+@robot(zero=(0, 0, 0, 0, 0))
+def motoman_l3(l2: float = 0.4, l3: float = 0.3) -> Arm:
+    """Yasukawa Motoman L-3; Craig names its lengths [m] by letters only, the defaults are ours.
+
+    Joints are Craig's, not the motors, which turn them through bars; he gives no limits.
+
+    Source: Craig, Introduction to Robotics, 3rd ed., sections 3.7 and 4.7: frame 5 is the wrist.
+    """
+    return Arm.from_dh(
+        a=[0, 0, l2, l3, 0],
+        alpha=np.multiply([0, -90, 0, 0, 90], DEG),
+        d=[0, 0, 0, 0, 0],
+        convention="modified",
+        name="motoman_l3",
+    )
+
+
 # No pose: the only published one, Corke's qz, is all zeros, where the slide is short of its range.
 @robot()
 def stanford() -> Arm:
