@@ -239,6 +239,28 @@ def turret(kinds, C, G) -> list:
     return [(one, *rest) for rest in planar("RRR", C[1:], inverse(J(one) @ C[1]) @ G)]
 
 
+def five_axis(kinds, C, G) -> list:
+    """Joint 1 has to meet two conditions at once: what joint 5 keeps of the third row of J2 to J5."""
+    left, right = inverse(C[1])[2], (C[2] @ C[3] @ C[4])[2]
+
+    def off(z):
+        return (left @ J(mp.conj(z)) @ G - right)[2:]
+
+    constant, *parts = (off(mp.mpc(*z)) for z in ((0, 0), (1, 0), (0, 1)))
+    sizes = [sum(abs(part[k] - constant[k]) ** 2 for part in parts) for k in (0, 1)]
+    k = 0 if sizes[0] > sizes[1] else 1
+    ways = []
+    for one in roots("R", lambda z: off(z)[k], 1):
+        gap = abs(off(one)[1 - k])
+        if REAL <= gap <= NOT_REAL:
+            raise NearFoldError
+        if gap < REAL:
+            five = between(left @ J(mp.conj(one)) @ G, right)
+            B = inverse(J(one) @ C[1]) @ G @ inverse(C[4] @ J(five))
+            ways += [(one, *middle, five) for middle in planar("RRR", C[1:], B)]
+    return ways
+
+
 def answers(arm, C, goal) -> list[tuple]:
     """Every real answer, joint by joint; NearFoldError where it cannot be told how many there are."""
     G = inverse(C[0]) @ goal @ inverse(C[-1])
@@ -251,4 +273,5 @@ def answers(arm, C, goal) -> list[tuple]:
     if arm.family == "pieper_reversed":
         return mirrored(pieper, arm.kinds, C, G)
     families = {"planar_pose": planar, "planar_position": planar, "scara": scara, "turret": turret}
+    families |= {"five_axis": five_axis}
     return families.get(arm.family, pieper)(arm.kinds, C, G)
