@@ -10,8 +10,8 @@ where axis 1 points up. Frame 1 stands on axis 2; the arm's plane is its x, y pl
 Steps:
 1. shoulder: axis 5 stands at a known angle to axis 2, and its foot from axis 4 a known way along axis 2.
    Both are lines x sin(t1) - y cos(t1) = l. The combination of the two with the longest (x, y) is solved:
-   the foot where it is away from axis 1, axis 5's direction where that is away from axis 1's. A Newton step
-   on both lines then keeps the digits that a double root of the one has lost.
+   the foot where it is away from axis 1, axis 5's direction where that is away from axis 1's. Newton steps
+   on both lines then keep the digits that a double root of the one has lost.
 2. axis 5 in the plane gives the whole pitch t2 + c2 t3 + c2 c3 t4, and axis 2 seen from the hand joint 5.
 3. triangle: a2 and a3 reach axis 4 in the plane: joints 2, 3, then 4.
 
@@ -34,11 +34,14 @@ import jax.numpy as jnp
 from ikjax.arm.forward import Joint, Link, unwind
 from ikjax.core import safe
 from ikjax.core.pose import Pose
-from ikjax.core.trig import Angle, Scalar, nudged
+from ikjax.core.trig import Angle, Scalar
 from ikjax.core.vector import minus, plus, times
 from ikjax.solvers.branch import Branch, Setting, bits
 from ikjax.solvers.shoulder import Shoulder, shoulder
 from ikjax.solvers.triangle import triangle
+
+LARGEST_MEND = 0.1
+"""[rad] What rounding takes from a double root is less, unless it is too near axis 1 to count."""
 
 
 class Line(NamedTuple):
@@ -143,11 +146,24 @@ def _lines(c2: int, c3: int, links: tuple[Link, ...], goal: Pose, setting: Setti
 def _shoulder(main: Line, rest: Line, side: Scalar, setting: Setting) -> Shoulder:
     """Joint 1 from the main line, mended by both."""
     base = shoulder(main.x, main.y, main.lateral, side, setting)
-    slopes = main.ahead(base.turn), rest.ahead(base.turn)
+    half = _half_step(main, rest, base.turn)
+    # To the other side, by more than rounding may have put between two answers, stands the other slot's.
+    stays = side * (5 * main.ahead(base.turn) - 8 * half * main.lateral) >= 0
+    mends = stays & (abs(half) < LARGEST_MEND / 2) & ~base.continuum
+    turn = _turned(base.turn, jnp.where(mends, half, 0))
+    turn = _turned(turn, setting.keep(jnp.where(mends, _half_step(main, rest, turn), 0)))
+    return base._replace(turn=setting.angle(turn.sin, turn.cos))
+
+
+def _half_step(main: Line, rest: Line, turn: Angle) -> Scalar:
+    """Half the Newton step [rad] to where both lines hold best."""
+    slopes = main.ahead(turn), rest.ahead(turn)
     size = slopes[0] * slopes[0] + slopes[1] * slopes[1]
-    step = -safe.divide(slopes[0] * main.gap(base.turn) + slopes[1] * rest.gap(base.turn), size)
-    # A larger step, or one to the other side, would lead to the other slot's answer.
-    small = abs(step) < float(jnp.finfo(step.dtype).eps) ** 0.25
-    stays = side * (slopes[0] - step * main.lateral) >= 0
-    step = setting.keep(jnp.where(small & stays & ~base.continuum, step, 0))
-    return base._replace(turn=setting.angle(*nudged(base.turn.sin, base.turn.cos, step)))
+    return -safe.divide(slopes[0] * main.gap(turn) + slopes[1] * rest.gap(turn), 2 * size)
+
+
+def _turned(turn: Angle, half: Scalar) -> Angle:
+    """The angle turned on by 2 atan(half), which stays on the circle."""
+    per = 1 / (1 + half * half)
+    sine, cosine = 2 * half * per, (1 - half * half) * per
+    return Angle(turn.sin * cosine + turn.cos * sine, turn.cos * cosine - turn.sin * sine, ())
