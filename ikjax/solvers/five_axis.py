@@ -40,6 +40,10 @@ from ikjax.solvers.branch import Branch, Setting, bits
 from ikjax.solvers.shoulder import Shoulder, shoulder
 from ikjax.solvers.triangle import triangle
 
+BEND = 8
+"""How much more than `off` bends the elbow: four joints' errors add up in its reach, and an elbow that starts
+straight keeps one of its two answers from being found."""
+
 LARGEST_MEND = 0.1
 """[rad] What rounding takes from a double root is less, unless it is too near axis 1 to count."""
 
@@ -100,7 +104,7 @@ def branches(
                 three.a,
                 up * s1 * side * facing * height,
                 setting,
-                setting.off,
+                BEND * setting.off,
             )
             # c23 t4 = pitch - (t2 + elbow)
             fore_sin = arm.shoulder_sin * arm.elbow_cos + arm.shoulder_cos * arm.elbow_sin

@@ -145,6 +145,20 @@ def test_every_goal_on_the_ladders_to_the_singularities_is_answered(name, dtype)
     assert sol.valid.any(-1).all()
 
 
+def test_both_answers_beside_full_stretch_are_found_on_the_so101_as_given():
+    arm = ikjax.robots.so101()
+    rng = np.random.default_rng(1)
+    q = random_joints(2000)
+    near = 10 ** rng.uniform(-5, -1.5, 2000) * rng.choice([-1, 1], 2000)
+    q[:, 2] = near + rng.integers(0, 2, 2000) * np.pi - arms.leaves(arm)["theta"][2]
+    sol = arms.solve_by_hand(arm, np.array(ikjax.fk(arm, q)))
+    assert sol.valid.any(-1).all()
+    least = np.linalg.svd(arms.numpy_jacobian(arm, q), compute_uv=False)[:, -1]
+    off = np.where(sol.valid, np.abs(arms.wrapped(sol.q - q[:, None])).max(-1), np.inf).min(-1)
+    regular = least > 1e-6
+    assert regular.sum() > 1500 and (off[regular] < 1e-8 / least[regular]).all()
+
+
 def test_joint_1_follows_q_now_where_the_roll_axis_is_axis_1():
     arm = every.build("five axes")
     q = np.array([[0.7, -QUARTER, 0.0, QUARTER, 0.4]])
