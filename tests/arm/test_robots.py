@@ -279,18 +279,21 @@ def vx300_of_the_maker(q):
     return T @ home
 
 
+# Its file: xyz and rpy of each joint's frame in the one before, then of the gripper frame.
+SO101 = [
+    ((0.0207909, -0.0230745, 0.0948817), (-3.14159, 0, 1.5708)),
+    ((-0.0303992, -0.0182778, -0.0542), (-1.5708, -1.5708, 0)),
+    ((-0.11257, -0.028, 0), (0, 0, 1.5708)),
+    ((-0.1349, 0.0052, 0), (0, 0, -1.5708)),
+    ((0, -0.0611, 0.0181), (1.5708, -9.38083e-08, 3.14159)),
+    ((-0.0079, -0.000218121, -0.0981274), (0, 3.14159, 0)),
+]
+
+
 def so101_of_its_file(q):
-    """The chain of the file, frame by frame: fixed-axis roll, pitch, yaw, then the turn about z."""
-    chain = [
-        ((0.0207909, -0.0230745, 0.0948817), (-3.14159, 0, 1.5708)),
-        ((-0.0303992, -0.0182778, -0.0542), (-1.5708, -1.5708, 0)),
-        ((-0.11257, -0.028, 0), (0, 0, 1.5708)),
-        ((-0.1349, 0.0052, 0), (0, 0, -1.5708)),
-        ((0, -0.0611, 0.0181), (1.5708, -9.38083e-08, 3.14159)),
-        ((-0.0079, -0.000218121, -0.0981274), (0, 3.14159, 0)),
-    ]
+    """Frame by frame: fixed-axis roll, pitch, yaw, then the turn about z."""
     T = np.eye(4)
-    for (xyz, (roll, pitch, yaw)), angle in zip(chain, (*q, 0.0), strict=True):
+    for (xyz, (roll, pitch, yaw)), angle in zip(SO101, (*q, 0.0), strict=True):
         origin = turn((0, 0, 1), yaw) @ turn((0, 1, 0), pitch) @ turn((1, 0, 0), roll)
         origin[:3, 3] = xyz
         T = T @ origin @ turn((0, 0, 1), angle)
@@ -341,8 +344,26 @@ def test_the_gx4_ends_where_epsons_work_envelope_does():
 
 def test_the_so101_keeps_what_its_file_rounds_and_its_roll_axis_passes_beside_its_first():
     arm = ikjax.robots.so101()
-    assert arm.family == "five_axis"
-    np.testing.assert_allclose(np.abs(arm.correction)[:, 3:].max(), 3.673e-6, atol=1e-9)
+    assert arm.family == "five_axis" and arm.correction is None
+    np.testing.assert_allclose(abs(abs(arm.alpha[3]) - math.pi / 2), 3.673e-6, atol=1e-9)
     np.testing.assert_allclose(abs(sum(arm.d[1:4])), 1.8e-4, atol=2e-6)
     # The tip is this far off the roll axis.
     np.testing.assert_allclose(np.hypot(*arm.tool[:2, 3]), 7.9e-3, atol=1e-5)
+
+
+def test_the_so101_read_from_a_urdf_file_is_the_same_arm():
+    pytest.importorskip("defusedxml")
+    text = '<robot name="so101"><link name="l0"/>'
+    for i, (xyz, rpy) in enumerate(SO101, 1):
+        kind, numbers = "revolute" if i < 6 else "fixed", [" ".join(map(str, x)) for x in (xyz, rpy)]
+        text += (
+            f'<link name="l{i}"/><joint name="j{i}" type="{kind}"><parent link="l{i - 1}"/>'
+            f'<child link="l{i}"/>'
+            f'<origin xyz="{numbers[0]}" rpy="{numbers[1]}"/><axis xyz="0 0 1"/>'
+            '<limit lower="-1" upper="1" effort="1" velocity="1"/></joint>'
+        )
+    read, ours = ikjax.Arm.from_urdf(text + "</robot>"), ikjax.robots.so101()
+    assert read.family == ours.family == "five_axis" and read.signs == ours.signs
+    assert read.correction is None
+    for leaf in ("a", "alpha", "d", "theta", "base", "tool"):
+        np.testing.assert_allclose(getattr(read, leaf), getattr(ours, leaf), atol=1e-15)

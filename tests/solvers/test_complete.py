@@ -35,6 +35,7 @@ NAMES = (
     "five axes, leaning",
     "five axes, roll first",
     "motoman_l3",
+    "so101",
     "2R",
     "3R",
     "RPR",

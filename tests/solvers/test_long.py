@@ -44,6 +44,7 @@ EVERY = {
     "pieper_reversed": "wrist first, RRRRRR",
 }
 EVERY |= {"position": "RRR, point", "scara": "SCARA RRPR", "turret": "turret", "planar_pose": "3R"}
+EVERY |= {"five_axis": "five axes, lateral"}
 
 
 @pytest.mark.long

@@ -14,8 +14,6 @@ from ikjax.arm.urdf import rotation_of
 DEG = np.pi / 180
 QUARTER = np.pi / 2
 ZERO = (0,) * 5
-ROUNDED = 1e-5
-"""What the files' five digits may leave axes off by [rad]."""
 
 
 def _pose(xyz, rpy) -> np.ndarray:
@@ -32,8 +30,7 @@ def _placed(name: str, joints, tool, limits) -> Arm:
         along.append(frame[:3, :3] @ axis)
         points.append(frame[:3, 3])
     axes = Axes("R" * len(joints), np.array(along), np.array(points), frame @ _pose(*tool))
-    table = rewritten(axes, ROUNDED)
-    exact = np.abs(table.correction).max() <= structure.TOLERANCE
+    table = rewritten(axes, structure.TOLERANCE)
     a, alpha, d, theta = (table.columns[key] for key in ("a", "alpha", "d", "theta"))
     return Arm.from_dh(
         a=a,
@@ -43,7 +40,6 @@ def _placed(name: str, joints, tool, limits) -> Arm:
         base=table.base,
         tool=table.tool,
         limits=limits,
-        correction=None if exact else table.correction,
         convention="standard",
         name=name,
     )
@@ -56,7 +52,7 @@ X, Y, Z = np.eye(3)
 def so101() -> Arm:
     """SO-101, the follower arm, to its gripper frame: its roll axis passes 0.18 mm beside its first.
 
-    The file's angles are rounded: the roll axis is 3.7e-6 rad off square, which is kept in `correction`.
+    The file's angles are rounded: the roll axis is 3.7e-6 rad off square, and stays so here.
 
     Source: TheRobotStudio/SO-ARM100, Simulation/SO101/so101_new_calib.urdf, commit 0aee1d0. The gripper frame
     is turned as in later versions of that file (`gripper_frame_joint`); in this one it stands at the same
