@@ -16,7 +16,7 @@ Steps:
 3. triangle: a2 and a3 reach axis 4 in the plane: joints 2, 3, then 4.
 
 The lines have two common roots where they are the same line: without lateral offset always, so that four
-slots are valid; with one only where axis 5 lies along axis 1 or beside it, else two.
+slots are valid where the links reach; with one only where axis 5 lies along axis 1 or beside it, else two.
 
 Bits:
 1. front: what was solved, the foot as a rule, is on the side of axis 1 where axis 2 stands (a1); along x1
@@ -86,7 +86,7 @@ def branches(
         side, *_ = bits(first)
         base = _shoulder(main, rest, side * facing, setting)
         seen = unwind(goal, one, Joint(base.turn.sin, base.turn.cos, one.d))
-        # The goal is Rz(pitch) Rx(alpha2 + alpha3 + alpha4) Rz(t5): axis 5 lies s4 c23 sin(alpha4) beside it.
+        # Seen from frame 1 the rotation is Rz(pitch) Rx(tilt) Rz(t5), with sin(tilt) = c2 c3 sin(alpha4).
         tilted = c23 * s4
         n = tuple(row[2] for row in seen.rotation)
         weight = tilted * safe.reciprocal_sqrt(n[0] * n[0] + n[1] * n[1])
