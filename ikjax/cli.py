@@ -17,6 +17,7 @@ import jax
 import numpy as np
 
 import ikjax
+from ikjax.study.place import Place
 
 
 def main(argv=None) -> int:
@@ -215,14 +216,10 @@ def _solve(options) -> int:
 def _check_places(options) -> None:
     """Raise now what a sweep would find out at its end: nothing to draw with, nowhere to write."""
     out = getattr(options, "out", None)
-    for place in filter(None, (out, options.picture)):
-        pathlib.Path(place).absolute().parent.mkdir(parents=True, exist_ok=True)
+    if options.picture:
+        pathlib.Path(options.picture).absolute().parent.mkdir(parents=True, exist_ok=True)
     if out:
-        from ikjax.study import store
-
-        store._tensorstore()
-        if pathlib.Path(out).exists() and not (pathlib.Path(out) / "zarr.json").is_file():
-            raise FileExistsError(f"{out} exists and is no map; it is left alone")
+        Place(out)
     if options.picture:
         from ikjax import plot
 
@@ -242,9 +239,9 @@ def _sweep(options) -> int:
         )
     if not options.json:
         print(f"sweeping {arm.name}: {positions.count * options.orientations:,} goals", file=sys.stderr)
-    reach = ikjax.sweep(arm, positions, options.orientations, dtype=dtype, progress=not options.json)
-    if options.out:
-        reach.save(options.out)
+    reach = ikjax.sweep(
+        arm, positions, options.orientations, dtype=dtype, out=options.out, progress=not options.json
+    )
     return _report(options, reach)
 
 

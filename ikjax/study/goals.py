@@ -36,7 +36,12 @@ class Grid:
 
     def points(self) -> np.ndarray:
         """All positions [m], (*shape, 3)."""
-        return np.stack(np.meshgrid(*map(self.axis, range(3)), indexing="ij"), axis=-1)
+        return self.part((slice(None),) * 3)
+
+    def part(self, box: tuple[slice, ...]) -> np.ndarray:
+        """The positions of a box of the grid [m]: the same numbers as in `points()[box]`."""
+        axes = [self.axis(k)[side] for k, side in enumerate(box)]
+        return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
 
 
 def grid(lower, upper, spacing: float) -> Grid:

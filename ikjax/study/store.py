@@ -1,123 +1,236 @@
-"""Maps on disk: a zarr v3 group written by tensorstore, with a checksum on every chunk.
+"""Maps on disk: begun, gone on with and read, and never wrong whatever interrupts them.
 
-Storey: study. Needs the extra `sweep`. A flipped bit or a missing chunk is an error when it is
-read, never a wrong number. The group opens in zarr and xarray as well.
+Storey: study. Needs the extra `sweep`. The order of writing is what keeps a map true:
+
+    1. the group says "clearing", with the new spec; what an earlier map left is removed
+    2. the arrays' documents, the axes and the rotations
+    3. the group says "sweeping"; units follow, in any order, each chunk whole or not at all
+    4. the group says "complete"
+
+So whatever chunk is found below a group that says "sweeping" or "complete" is of its spec, and going on is
+computing what cannot be read. A flipped bit, a cut or a missing chunk is an error when it is read.
 """
 
-import dataclasses
-import hashlib
-import json
-import math
-import pathlib
-import shutil
+import collections
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ikjax.arm.arm import Arm
+from ikjax.study import layout
+from ikjax.study import spec as specs
+from ikjax.study.layout import Head
+from ikjax.study.place import Place
 
-SCHEMA = 1
-"""Version of the layout; a reader refuses any other."""
-
-_CHUNK = 64
-
-
-def _tensorstore():
-    try:
-        import tensorstore
-    except ImportError as error:
-        raise ImportError("maps on disk need tensorstore: pip install 'ikjax[sweep]'") from error
-    return tensorstore
+AT_ONCE = 4
+"""Units that are read at once when a map is surveyed."""
 
 
-def _array_spec(path: pathlib.Path, name: str) -> dict:
-    return {
-        "driver": "zarr3",
-        "kvstore": {"driver": "file", "path": f"{path / name}/", "file_io_sync": True},
-        # A chunk that is not there is lost data here, not a block of zeros.
-        "fill_missing_data_reads": False,
-        "store_data_equal_to_fill_value": True,
-    }
+class Survey(NamedTuple):
+    """Which units of a map can be read."""
+
+    good: list[bool]
+    missing: int
+    """Units of which a chunk is not there."""
+    damaged: int
+    """Units whose chunks are all there, but not as they were written."""
 
 
-def fingerprint(spec: dict) -> str:
-    """What tells one study from another: a hash of its canonical JSON."""
-    return hashlib.sha256(json.dumps(spec, sort_keys=True).encode()).hexdigest()[:16]
+class Store:
+    """A map that is being written. Hold a `Lock` meanwhile."""
+
+    def __init__(self, place: Place, head: Head, fixed: Mapping[str, np.ndarray]):
+        self.place, self.head, self.fixed = place, head, fixed
+        self.units = layout.units(head.shape, head.chunk)
+        table = layout.arrays(head)
+        self.arrays = {name: place.array(name, table[name]) for name in table}
+
+    def box(self, number: int) -> tuple[slice, ...]:
+        """The positions of a unit."""
+        return layout.box(self.units[number], self.head.shape, self.head.chunk)
+
+    def say(self, state: str, seconds: float = 0.0) -> None:
+        """Write the group's document."""
+        self.head = self.head._replace(state=state, seconds=seconds)
+        self.place.write(layout.GROUP, layout.group(self.head))
+
+    def prepare(self) -> None:
+        """Steps 1 to 3, up to the first unit."""
+        self.say("clearing")
+        for name in (*layout.STATISTICS, *layout.FIXED):
+            self.place.delete(f"{name}/")
+        self.repair()
+
+    def repair(self) -> None:
+        """Write again whatever the spec determines and is not there as it should be."""
+        for key, document in layout.array_documents(self.head).items():
+            if self.place.read(key) != document:
+                self.place.write(key, document)
+        for name, value in self.fixed.items():
+            if not _holds(self.arrays[name], value):
+                with self.place.storing(name):
+                    self.arrays[name].write(value).result()
+        if self.head.state != "complete":
+            self.say("sweeping")
+
+    def survey(self) -> Survey:
+        """Read every chunk."""
+        there = _there(self.place, self.head)
+        reads: collections.deque[Any] = collections.deque()
+        good: list[bool] = []
+        missing = 0
+
+        def take():
+            futures = reads.popleft()
+            good.append(bool(futures) and all(future.exception() is None for future in futures))
+
+        for number, unit in enumerate(self.units):
+            whole = all(layout.key(name, unit) in there for name in self.head.spec["statistics"])
+            missing += not whole
+            box = self.box(number)
+            names = self.head.spec["statistics"] if whole else ()
+            reads.append([self.arrays[name][box].read() for name in names])
+            if len(reads) > AT_ONCE:
+                take()
+        while reads:
+            take()
+        return Survey(good, missing, len(good) - sum(good) - missing)
+
+    def put(self, number: int, values: Mapping[str, np.ndarray]) -> list[Any]:
+        """Begin to write a unit; `settle` waits for it."""
+        box = self.box(number)
+        with self.place.storing(f"unit {number}"):
+            return [self.arrays[name][box].write(value).commit for name, value in values.items()]
+
+    def settle(self, number: int, futures: list[Any]) -> None:
+        """Wait until a unit is written and synced."""
+        with self.place.storing(f"unit {number + 1} of {len(self.units)}"):
+            for future in futures:
+                future.result()
 
 
-def write(path, spec: dict, arrays: dict[str, np.ndarray]) -> None:
-    """Write a group of arrays with a spec in its attributes, replacing an older map."""
-    ts = _tensorstore()
-    path = pathlib.Path(path).absolute()
-    if path.exists():
-        if not (path / "zarr.json").is_file():
-            raise FileExistsError(f"{path} exists and is no map; it is left alone")
-        shutil.rmtree(path)
-    path.mkdir(parents=True)
-    for name, array in arrays.items():
-        chunk = [min(_CHUNK, size) for size in array.shape]
-        metadata = {
-            "shape": list(array.shape),
-            "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": chunk}},
-            "data_type": array.dtype.name,
-            "codecs": [{"name": "bytes", "configuration": {"endian": "little"}}, {"name": "crc32c"}],
-        }
-        dataset = ts.open({**_array_spec(path, name), "metadata": metadata, "create": True}).result()
-        dataset.write(array).result()
-    attributes = {"ikjax_schema": SCHEMA, "fingerprint": fingerprint(spec), "spec": spec}
-    group = {"zarr_format": 3, "node_type": "group", "attributes": attributes}
-    (path / "zarr.json").write_text(json.dumps(group, indent=1))
+def begin(place: Place, head: Head, fixed: Mapping[str, np.ndarray], *, resume: bool, chunk_given: bool):
+    """The store of a sweep: a new one, or one to go on with.
 
-
-def read(path, names: tuple[str, ...]) -> tuple[dict, dict[str, np.ndarray]]:
-    """The spec and the arrays of a group.
+    Args:
+        place: Where. It is locked by the caller.
+        head: The spec and chunk wanted.
+        fixed: The arrays that the spec determines.
+        resume: Go on with what is there; start if there is nothing.
+        chunk_given: Whether the chunk was asked for, and not only the default.
 
     Raises:
-        ValueError: No map there, of another schema, changed by hand, or damaged.
+        ValueError: To go on with a map of another spec, chunk or schema.
+        FileExistsError: Something else than a map is there; or an unfinished map, without `resume`.
     """
-    ts = _tensorstore()
-    path = pathlib.Path(path).absolute()
-    try:
-        attributes = json.loads((path / "zarr.json").read_text())["attributes"]
-        schema, spec = attributes["ikjax_schema"], attributes["spec"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"{path} holds no ikjax map") from error
-    if schema != SCHEMA:
-        raise ValueError(f"{path} has schema {schema}, this version reads schema {SCHEMA}")
-    if attributes.get("fingerprint") != fingerprint(spec):
+    document = place.read(layout.GROUP)
+    found = layout.read_group(document)
+    if found is None:
+        found = _told_by_arrays(place, head)
+        if found is not None and not resume:
+            raise FileExistsError(f"{place} holds a damaged map; mend it with resume=True, or delete it")
+    if found is None:
+        schema = layout.schema_of(document)
+        if schema in (None, specs.SCHEMA) and (document is not None or place.keys()):
+            what = "is no map" if schema is None else "is a map damaged beyond repair, or of another spec"
+            raise FileExistsError(f"{place} exists and {what}; it is left alone")
+        if schema is not None and resume:
+            raise ValueError(f"{place} has schema {schema}, this version writes schema {specs.SCHEMA}")
+    if found is None or found.state == "clearing":
+        return _new(place, head, fixed)
+    if not resume:
+        if found.state != "complete":
+            raise FileExistsError(
+                f"{place} holds an unfinished map; go on with resume=True (--resume), or delete it"
+            )
+        return _new(place, head, fixed)
+    if found.spec != head.spec:
+        rows = specs.differences(found.spec, head.spec)
         raise ValueError(
-            f"{path}: the spec has fingerprint {fingerprint(spec)}, "
-            f"the map was made with {attributes.get('fingerprint')}"
+            f"{place} holds a map with fingerprint {specs.fingerprint(found.spec)}, this sweep's is "
+            f"{specs.fingerprint(head.spec)}: {'; '.join(rows)}"
         )
-    arrays = {}
-    for name in names:
+    if chunk_given and found.chunk != head.chunk:
+        raise ValueError(f"{place} has chunk {found.chunk}, got chunk {head.chunk}")
+    store = Store(place, found, fixed)
+    store.repair()
+    if document != layout.group(store.head):
+        store.say(store.head.state, store.head.seconds)
+    return store
+
+
+def _new(place: Place, head: Head, fixed: Mapping[str, np.ndarray]) -> Store:
+    store = Store(place, head, fixed)
+    store.prepare()
+    return store
+
+
+def _told_by_arrays(place: Place, head: Head) -> Head | None:
+    """The head, where the group's document is lost but every array's says that it is of this spec."""
+    chunk = layout.chunk_of(place.read(f"{head.spec['statistics'][0]}/zarr.json"))
+    if chunk is None or len(chunk) != len(head.shape) or min(chunk) < 1:
+        return None
+    head = head._replace(chunk=chunk, state="sweeping")
+    documents = layout.array_documents(head)
+    return head if all(place.read(key) == document for key, document in documents.items()) else None
+
+
+def read(place: Place) -> tuple[Head, dict[str, "Stored"]]:
+    """What a finished map says, and its arrays, which are read when they are asked for.
+
+    Raises:
+        ValueError: No map there, of another schema, damaged, or unfinished: the message says how to go on.
+    """
+    document = place.read(layout.GROUP)
+    head = layout.read_group(document)
+    if head is None:
+        schema = layout.schema_of(document)
+        if schema is None:
+            raise ValueError(f"{place} holds no ikjax map")
+        if schema != specs.SCHEMA:
+            raise ValueError(f"{place} has schema {schema}, this version reads schema {specs.SCHEMA}")
+        raise ValueError(f"{place}: zarr.json was changed by hand or damaged; {_MEND}")
+    units = layout.units(head.shape, head.chunk)
+    if head.state == "clearing":
+        raise ValueError(f"{place} is unfinished: {len(units)} of {len(units)} units are missing; {_GO_ON}")
+    for key, wanted in layout.array_documents(head).items():
+        if place.read(key) != wanted:
+            raise ValueError(f"{place}: {key} is damaged or missing; {_MEND}")
+    there, names = _there(place, head), head.spec["statistics"]
+    missing = sum(any(layout.key(name, unit) not in there for name in names) for unit in units)
+    if missing:
+        raise ValueError(f"{place} is unfinished: {missing} of {len(units)} units are missing; {_GO_ON}")
+    table = layout.arrays(head)
+    return head, {name: Stored(place, name, place.array(name, table[name])) for name in table}
+
+
+_MEND = "the sweep that made it mends it, with resume=True (--resume)"
+_GO_ON = "go on with the sweep that made it, with resume=True (--resume)"
+
+
+class Stored:
+    """An array of a map, read when it is indexed: `stored[:, :, 3]` reads one slice."""
+
+    def __init__(self, place: Place, name: str, array: Any):
+        self.place, self.name, self._array = place, name, array
+        self.shape: tuple[int, ...] = tuple(array.shape)
+        self.dtype: np.dtype = array.dtype.numpy_dtype
+
+    def __getitem__(self, index) -> np.ndarray:
         try:
-            arrays[name] = np.asarray(ts.open(_array_spec(path, name), open=True).result().read().result())
+            return np.asarray(self._array[index].read().result())
         except ValueError as error:  # tensorstore raises it for lost and for damaged data
-            raise ValueError(f"{path}: {name} is damaged: {str(error)[:200]}") from error
-    return spec, arrays
+            text = " ".join(str(error).split())[:200]
+            raise ValueError(f"{self.place}: {self.name} is damaged; {_MEND}: {text}") from error
+
+    def __array__(self, dtype=None, copy=None) -> np.ndarray:
+        return np.asarray(self[...], dtype)
 
 
-def arm_to_spec(arm: Arm) -> dict:
-    """An arm as JSON: lists of numbers, infinities as null."""
-    columns = {name: np.asarray(getattr(arm, name), float).tolist() for name in _LEAVES}
-    columns["limits"] = [[x if math.isfinite(x) else None for x in pair] for pair in columns["limits"]]
-    return {"name": arm.name, "kinds": arm.kinds, **{key: getattr(arm, key) for key in _FACTS}, **columns}
+def _holds(array: Any, value: np.ndarray) -> bool:
+    read = array.read()
+    return read.exception() is None and np.array_equal(read.result(), value)
 
 
-def arm_from_spec(spec: dict) -> Arm:
-    """The arm of `arm_to_spec`, recognised anew."""
-    limits = [[-math.inf if lo is None else lo, math.inf if hi is None else hi] for lo, hi in spec["limits"]]
-    table = {name: spec[name] for name in _LEAVES} | {"limits": limits}
-    # Leaves that were rounded to float32 are judged as such: the family is the one that was stored.
-    arm = Arm.from_dh(**table, kinds=spec["kinds"], name=spec["name"], convention="standard")
-    return dataclasses.replace(
-        arm,
-        family=spec["family"],
-        signs=tuple(spec["signs"]),
-        branches=tuple(spec["branches"]),
-        task=spec["task"],
-    )
-
-
-_FACTS = ("family", "signs", "branches", "task")
-_LEAVES = ("a", "alpha", "d", "theta", "base", "tool", "limits")
+def _there(place: Place, head: Head) -> set[str]:
+    return set().union(*(place.keys(f"{name}/c/") for name in head.spec["statistics"]))

@@ -1,42 +1,48 @@
-"""The sweep: every position with every orientation, counted inside one fused loop.
+"""The sweep: every position with every orientation, unit by unit, in memory or into a store.
 
-Storey: study. Goals are made from integers inside jit and nothing but statistics leaves it. The
-four counts of 32 goals travel as bit fields of one 32-bit sum, because a loop with one result is
-fused and a loop with four is computed four times.
+Storey: study. A unit's positions are made from its number, and its statistics are integers and maxima, so
+the same bits come out for any size of units, in any order, and after any number of interruptions.
 """
 
-import functools
-import math
+import contextlib
+import dataclasses
+import itertools
 import sys
 import time
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ikjax.arm.arm import Arm
-from ikjax.core.pose import Pose
-from ikjax.ik.blocks import wide_vectors
-from ikjax.ik.graph import holder, is_small
 from ikjax.ik.solve import check_family
-from ikjax.solvers.family import TOLERANCE, Slot, solve_scalars
+from ikjax.solvers.family import TOLERANCE
+from ikjax.study import layout, log, spec, store
 from ikjax.study.goals import Grid, even_rotations
-from ikjax.study.limits import within
-from ikjax.study.reach import ReachMap
+from ikjax.study.kernel import CALL, statistics_of
+from ikjax.study.layout import COUNTS, STATISTICS
+from ikjax.study.lock import Lock
+from ikjax.study.place import Place
+from ikjax.study.reach import ReachMap, Units
 
-POSITIONS, ORIENTATIONS = 64, 512
-"""Goals in a tile: so many positions with so many orientations each."""
+MOST_POSITIONS = 2**31
+IN_FLIGHT = 2
+"""Units that are being written while the next is computed."""
 
-GROUP = 32
-"""Goals whose counts share one 32-bit sum: fields of 6, 9, 6 and 9 bits."""
-
-TILES = 64
-"""Blocks of positions in one call; between calls there is progress to show."""
+Stop = Callable[[bool], str | None]
+"""Asked often, with whether a unit has just ended: why to stop, or None."""
 
 
-MOST_POSITIONS = 2**31 - POSITIONS * TILES
-"""Positions are numbered in 32 bits."""
+class SweepStoppedError(Exception):
+    """A sweep was told to stop; what is stored is whole."""
+
+    def __init__(self, why: str, where: Any, done: int, units: int):
+        self.why, self.done, self.units = why, done, units
+        rest = f"{where} holds {done} of {units} units; go on with resume=True (--resume)"
+        super().__init__(f"stopped: {why}; {rest if where is not None else 'nothing was stored'}")
 
 
 def sweep(
@@ -45,7 +51,12 @@ def sweep(
     orientations,
     *,
     dtype=None,
+    statistics: Iterable[str] = STATISTICS,
+    out=None,
+    resume: bool = False,
+    chunk=None,
     progress: bool = False,
+    stop: Stop | None = None,
 ) -> ReachMap:
     """Which of `positions` x `orientations` the arm reaches, in how many ways, how safely.
 
@@ -54,14 +65,52 @@ def sweep(
         positions: `ikjax.grid(...)` or `ikjax.around(arm, spacing)`.
         orientations: A number, for that many even ones over all rotations, or rotations (m, 3, 3).
         dtype: float32 or float64 of the kernel; by default the arm's.
+        statistics: Which to keep; the four counts come together, the margin is a loop more.
+        out: A folder, or a URL that tensorstore knows, where the map is stored unit by unit. A finished
+            map there is replaced, an unfinished one only gone on with.
+        resume: Go on with what is at `out`: what cannot be read is computed. Start if nothing is there.
+        chunk: Positions (3,) of a unit along x, y, z; the numbers do not depend on it.
         progress: Show a bar with rate and time left on stderr.
+        stop: Asked after every call, and with True after every unit: a reason to stop, or None.
 
     Returns:
         A `ReachMap`: counts for every position, exact at each goal up to rounding at folds.
 
     Raises:
-        ValueError: An arm of no family, or orientations that are no rotations.
+        ValueError: An arm of no family, orientations that are no rotations, another sweep's map to go on
+            with, another writer at work.
+        FileExistsError: Something at `out` that must not be overwritten.
+        StorageError: The store cannot be written; the units before that are whole.
+        SweepStoppedError: `stop` gave a reason.
     """
+    rotations, dtype, names = _checked(arm, positions, orientations, dtype, statistics)
+    study = spec.of_study(arm, positions, rotations, dtype.name, names)
+    wanted = _chunk(chunk, positions.shape, len(rotations))
+    head = layout.Head(study, wanted, "sweeping", 0.0)
+    kernel = statistics_of(arm, rotations, dtype, "best_margin" in names)
+
+    def run(sink, todo: list[int], diary: log.Log) -> float:
+        return _run(sink, todo, positions, len(rotations), dtype, kernel, progress, stop, diary)
+
+    if out is None:
+        memory = _Memory(head)
+        seconds = run(memory, list(range(len(memory.units))), log.Log(None))
+        return ReachMap(arm, positions, rotations, dtype.name, memory.arrays, seconds)
+    place = Place(out)
+    fixed = layout.fixed(positions, rotations)
+    with Lock(place), log.Log(place.folder) as diary:
+        disk = store.begin(place, head, fixed, resume=resume, chunk_given=chunk is not None)
+        survey = disk.survey()
+        todo = [number for number, good in enumerate(survey.good) if not good]
+        units = Units(len(disk.units), sum(survey.good), survey.missing, survey.damaged)
+        diary.begun(disk.head, units)
+        seconds = run(disk, todo, diary) if todo else disk.head.seconds
+        disk.say("complete", seconds)
+        diary.line(f"complete, {seconds:.2f} s for the whole at this run's rate")
+    return dataclasses.replace(ReachMap.load(out), units=units)
+
+
+def _checked(arm: Arm, positions: Grid, orientations, dtype, statistics):
     check_family(arm)
     if arm.task.startswith("planar"):
         raise ValueError(
@@ -77,35 +126,12 @@ def sweep(
         )
     if jnp.zeros((), dtype).dtype != dtype:
         raise ValueError(f"dtype {dtype} needs jax_enable_x64")
-    unit = _compile_unit(arm, positions, rotations, dtype)
-    step = POSITIONS * TILES
-    started = time.perf_counter()
-    pieces, waiting = [], None
-    for start in _with_progress(range(0, positions.count, step), positions.count * len(rotations), progress):
-        # One call is always under way while the one before it is fetched.
-        ready, waiting = waiting, unit(np.int32(start // POSITIONS))
-        if ready is not None:
-            pieces.append(jax.device_get(ready))
-    pieces.append(jax.device_get(waiting))
-    seconds = time.perf_counter() - started
-    counts, margin = (
-        np.concatenate([p[k].reshape(-1, *p[k].shape[2:]) for p in pieces])[: positions.count] for k in (0, 1)
-    )
-    reachable, solutions, reachable_within, solutions_within = (
-        counts[:, k].reshape(positions.shape) for k in range(4)
-    )
-    return ReachMap(
-        arm=arm,
-        grid=positions,
-        rotations=rotations,
-        dtype=dtype.name,
-        reachable=reachable,
-        solutions=solutions,
-        reachable_within=reachable_within,
-        solutions_within=solutions_within,
-        best_margin=margin.reshape(positions.shape).astype(np.float32),
-        seconds=seconds,
-    )
+    statistics = [statistics] if isinstance(statistics, str) else list(statistics)
+    if not set(COUNTS) <= set(statistics) <= set(STATISTICS):
+        raise ValueError(
+            f"statistics must be {', '.join(COUNTS)} and, if wanted, best_margin, got {', '.join(statistics)}"
+        )
+    return rotations, dtype, tuple(name for name in STATISTICS if name in statistics)
 
 
 def _rotations(orientations) -> np.ndarray:
@@ -122,81 +148,136 @@ def _rotations(orientations) -> np.ndarray:
     return rotations
 
 
-def _compile_unit(arm: Arm, positions: Grid, rotations: np.ndarray, dtype) -> Callable:
-    """The statistics of `TILES` blocks of positions, as a function of the first block's number."""
-    arm = arm.astype(dtype).baked()
-    count = len(rotations)
-    padded = -(-count // GROUP) * GROUP
-    width = min(ORIENTATIONS, padded)
-    tiles = -(-padded // width)
-    # The last tile is filled up with rotations that do not count.
-    filled = np.resize(rotations, (tiles * width, 3, 3)).astype(dtype)
-    table = jnp.asarray(filled.reshape(tiles, width, 9))
-    real = jnp.asarray((np.arange(tiles * width) < count).reshape(tiles, 1, width))
-
-    def block(statistic, number):
-        place = _positions(positions, number, dtype)
-
-        def tile(rotation_and_real):
-            rotation, real = rotation_and_real
-            r = [rotation[:, k].reshape(1, width) for k in range(9)]
-            goal = Pose((tuple(r[0:3]), tuple(r[3:6]), tuple(r[6:9])), place)
-            hold = None if is_small(arm) else holder(r[0] + place[0])
-            return statistic(arm, solve_scalars(arm, goal, hold=hold), real)
-
-        return jax.lax.map(tile, (table, real))
-
-    def unit(first):
-        numbers = first + jnp.arange(TILES, dtype=jnp.int32)
-        # Two loops, because in one XLA would keep every square root that both results need.
-        counts = jax.lax.map(lambda n: block(_counts, n).sum(0), numbers)
-        return counts, jax.lax.map(lambda n: block(_best_margin, n).max(0), numbers)
-
-    options = wide_vectors()
-    return jax.jit(unit, compiler_options=options).lower(np.int32(0)).compile()
+def _chunk(chunk, shape: tuple[int, ...], orientations: int) -> tuple[int, ...]:
+    if chunk is None:
+        return layout.default_chunk(shape, orientations)
+    edges = np.asarray(chunk)
+    if edges.shape != (len(shape),) or edges.dtype.kind not in "iu" or (edges < 1).any():
+        raise ValueError(f"chunk must be {len(shape)} whole numbers above zero, got {chunk}")
+    return tuple(min(int(edge), size) for edge, size in zip(edges, shape, strict=True))
 
 
-def _positions(positions: Grid, number, dtype):
-    """The positions of a block, as three columns; numbers past the end repeat the last."""
-    index = jnp.minimum(number * POSITIONS + jnp.arange(POSITIONS, dtype=jnp.int32), positions.count - 1)
-    _, ny, nz = positions.shape
-    steps = (index // (ny * nz), index // nz % ny, index % nz)
-    spacing = dtype.type(positions.spacing)
-    return tuple(
-        (dtype.type(origin) + spacing * step.astype(dtype)).reshape(POSITIONS, 1)
-        for origin, step in zip(positions.origin, steps, strict=True)
-    )
+class _Memory:
+    """Where the units of a sweep without a store go."""
+
+    def __init__(self, head: layout.Head):
+        self.place, self.head = None, head
+        self.units = layout.units(head.shape, head.chunk)
+        types = {name: np.int32 if name in COUNTS else np.float32 for name in head.spec["statistics"]}
+        self.arrays = {name: np.empty(head.shape, kind) for name, kind in types.items()}
+
+    def box(self, number: int) -> tuple[slice, ...]:
+        return layout.box(self.units[number], self.head.shape, self.head.chunk)
+
+    def put(self, number: int, values: Mapping[str, np.ndarray]) -> None:
+        for name, value in values.items():
+            self.arrays[name][self.box(number)] = value
+
+    def settle(self, number: int, futures: None) -> None:
+        pass
 
 
-def _counts(arm: Arm, slots: tuple[Slot, ...], real) -> jax.Array:
-    """Counts (positions, 4) of one tile."""
-    valid = [slot.valid & real for slot in slots]
-    inside = [v & within(arm, slot) for v, slot in zip(valid, slots, strict=True)]
-    fields = []
-    for flags in (valid, inside):
-        number = functools.reduce(jnp.add, [flag.astype(jnp.int32) for flag in flags])
-        fields += [(number > 0).astype(jnp.int32), number]
-    code = fields[0] + (fields[1] << 6) + (fields[2] << 15) + (fields[3] << 21)
-    groups = code.reshape(code.shape[0], -1, GROUP).sum(-1, dtype=jnp.int32)
-    counts = [groups & 63, groups >> 6 & 511, groups >> 15 & 63, groups >> 21 & 511]
-    return jnp.stack([count.sum(-1) for count in counts], axis=-1)
+def _run(
+    sink,
+    todo: list[int],
+    positions: Grid,
+    orientations: int,
+    dtype: np.dtype,
+    kernel: Callable,
+    progress: bool,
+    stop: Stop | None,
+    diary: log.Log,
+) -> float:
+    """Compute the units `todo` into `sink`; seconds for all units, at the rate of these."""
+    boxes = [sink.box(number) for number in todo]
+    shapes = [tuple(side.stop - side.start for side in box) for box in boxes]
+    sizes = [int(np.prod(shape)) for shape in shapes]
+    names = sink.head.spec["statistics"]
+    done = len(sink.units) - len(todo)
+    writing: deque[tuple[int, Any]] = deque()
+    started = time.perf_counter()
+
+    def finish(keep: int) -> None:
+        nonlocal done
+        while len(writing) > keep:
+            sink.settle(*writing.popleft())
+            done += 1
+
+    def ask(ended: bool) -> None:
+        why = None if stop is None else stop(ended)
+        if why is not None:
+            finish(0)
+            raise SweepStoppedError(why, sink.place, done, len(sink.units))
+
+    points = (positions.part(box).reshape(-1, 3).astype(dtype) for box in boxes)
+    try:
+        with _bar(positions.count * orientations, sum(sizes) * orientations, progress) as advance:
+            rows = _recut(_computed(kernel, points, ask), sizes)
+            for number, shape, size, row in zip(todo, shapes, sizes, rows, strict=True):
+                columns = dict(zip(STATISTICS, row.T, strict=False))
+                if "best_margin" in columns:
+                    columns["best_margin"] = np.ascontiguousarray(columns["best_margin"]).view(np.float32)
+                values = {name: columns[name].reshape(shape) for name in names}
+                writing.append((number, sink.put(number, values)))
+                finish(IN_FLIGHT)
+                advance(size * orientations)
+                diary.progress(done, len(sink.units))
+                if number != todo[-1]:
+                    ask(True)
+    except BaseException:
+        # What is under way is settled, so that nothing is written any more when the lock goes.
+        with contextlib.suppress(OSError):
+            finish(0)
+        raise
+    finish(0)
+    return (time.perf_counter() - started) * positions.count / max(sum(sizes), 1)
 
 
-def _best_margin(arm: Arm, slots: tuple[Slot, ...], real) -> jax.Array:
-    """Greatest margin (positions,) of one tile."""
-    margin = functools.reduce(jnp.maximum, [slot.margin for slot in slots])
-    return jnp.where(real, margin, -jnp.inf).max(-1)
+def _computed(kernel: Callable, points: Iterable[np.ndarray], ask: Callable) -> Iterator[np.ndarray]:
+    """Statistics as one row of 32-bit numbers a position, margins by their bits, call by call."""
+    waiting = None
+    for batch in _recut(points, itertools.repeat(CALL)):
+        # The last call is filled up; what is computed past the end is never looked at.
+        full = batch if len(batch) == CALL else np.resize(batch, (CALL, 3))
+        # One call is always under way while the one before it is fetched.
+        ready, waiting = waiting, kernel(full)
+        if ready is not None:
+            yield _fetched(ready, ask)
+    if waiting is not None:
+        yield _fetched(waiting, ask)
 
 
-def _with_progress(starts: range, goals: int, show: bool):
+def _fetched(result: tuple[Any, ...], ask: Callable) -> np.ndarray:
+    while not all(array.is_ready() for array in result):
+        ask(False)
+        time.sleep(0.001)
+    counts, *margin = jax.device_get(result)
+    columns = [np.asarray(m, np.float32).view(np.int32)[:, None] for m in margin]
+    return np.concatenate([counts, *columns], axis=1)
+
+
+def _recut(stream: Iterable[np.ndarray], sizes: Iterable[int]) -> Iterator[np.ndarray]:
+    """The rows of a stream of arrays, cut anew to `sizes`; the last piece may be short."""
+    stream, held, count = iter(stream), [], 0
+    for size in sizes:
+        while count < size and (piece := next(stream, None)) is not None:
+            held.append(piece)
+            count += len(piece)
+        if count == 0:
+            return
+        whole = held[0] if len(held) == 1 else np.concatenate(held)
+        yield whole[:size]
+        held, count = [whole[size:]], max(count - size, 0)
+
+
+@contextlib.contextmanager
+def _bar(goals: int, left: int, show: bool) -> Iterator[Callable[[int], Any]]:
+    """A function that moves a bar on."""
     if not show:
-        yield from starts
+        yield lambda _: None
         return
     from tqdm import tqdm
 
-    scale = goals / max(len(starts), 1)
-    bar = tqdm(total=goals, unit=" goals", unit_scale=True, file=sys.stderr, mininterval=0.5)
-    with bar:
-        for start in starts:
-            yield start
-            bar.update(min(math.ceil(scale), goals - bar.n))
+    options: dict[str, Any] = {"unit": " goals", "unit_scale": True, "file": sys.stderr, "mininterval": 0.5}
+    with tqdm(total=goals, initial=goals - left, **options) as bar:
+        yield bar.update

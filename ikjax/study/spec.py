@@ -1,0 +1,96 @@
+"""What tells one study from another, as JSON, and the fingerprint of it.
+
+Storey: study.
+"""
+
+import dataclasses
+import hashlib
+import json
+import math
+import sys
+
+import numpy as np
+
+from ikjax.arm.arm import Arm
+from ikjax.study.goals import Grid
+
+SCHEMA = 2
+"""Version of a map's layout; a reader refuses any other."""
+
+
+def of_study(arm: Arm, grid: Grid, rotations: np.ndarray, dtype: str, statistics: tuple[str, ...]) -> dict:
+    """Everything that a map's numbers depend on. The size of its chunks is not among it."""
+    study = {
+        "schema": SCHEMA,
+        # The front door is in no storey, but whoever calls has come through it.
+        "ikjax": sys.modules["ikjax"].__version__,
+        "arm": of_arm(arm),
+        "grid": dataclasses.asdict(grid),
+        "rotations": {"count": len(rotations), "sha256": hash_of(rotations)},
+        "dtype": dtype,
+        "statistics": list(statistics),
+    }
+    return json.loads(canonical(study))
+
+
+def hash_of(array: np.ndarray) -> str:
+    """SHA-256 of the numbers as little-endian float64."""
+    return hashlib.sha256(np.ascontiguousarray(array, "<f8").tobytes()).hexdigest()
+
+
+def canonical(spec: dict) -> str:
+    """JSON of one form only: what is equal is spelt equally."""
+    return json.dumps(spec, sort_keys=True, allow_nan=False)
+
+
+def fingerprint(spec: dict) -> str:
+    """A hash of the canonical JSON."""
+    return hashlib.sha256(canonical(spec).encode()).hexdigest()[:16]
+
+
+def differences(there: dict, here: dict) -> list[str]:
+    """Where two specs differ, as "grid.spacing: 0.1 there, 0.2 here"."""
+    rows = []
+    for key in sorted(there.keys() | here.keys()):
+        a, b = there.get(key), here.get(key)
+        if isinstance(a, dict) and isinstance(b, dict):
+            rows += [f"{key}.{row}" for row in differences(a, b)]
+        elif a != b:
+            rows.append(f"{key}: {_short(a)} there, {_short(b)} here")
+    return rows
+
+
+def _short(value) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+_LEAVES = ("a", "alpha", "d", "theta", "base", "tool", "limits")
+_OPTIONAL = ("coupling", "correction")
+_FACTS = ("family", "signs", "branches", "task")
+
+
+def of_arm(arm: Arm) -> dict:
+    """An arm as JSON: lists of numbers, infinities as null."""
+    columns = {name: np.asarray(getattr(arm, name), float).tolist() for name in _LEAVES}
+    columns["limits"] = [[x if math.isfinite(x) else None for x in pair] for pair in columns["limits"]]
+    for name in _OPTIONAL:
+        leaf = getattr(arm, name)
+        columns[name] = None if leaf is None else np.asarray(leaf, float).tolist()
+    facts = {key: getattr(arm, key) for key in _FACTS}
+    return {"name": arm.name, "kinds": arm.kinds, **facts, **columns}
+
+
+def to_arm(spec: dict) -> Arm:
+    """The arm of `of_arm`."""
+    limits = [[-math.inf if lo is None else lo, math.inf if hi is None else hi] for lo, hi in spec["limits"]]
+    table = {name: spec[name] for name in (*_LEAVES, *_OPTIONAL)} | {"limits": limits}
+    # Leaves that were rounded to float32 are judged as such: the family is the one that was stored.
+    arm = Arm.from_dh(**table, kinds=spec["kinds"], name=spec["name"], convention="standard")
+    return dataclasses.replace(
+        arm,
+        family=spec["family"],
+        signs=tuple(spec["signs"]),
+        branches=tuple(spec["branches"]),
+        task=spec["task"],
+    )

@@ -1,0 +1,290 @@
+"""Stored maps survive whatever interrupts or damages them, and are never wrong."""
+
+import os
+import pathlib
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import small
+
+import ikjax
+from ikjax.study import layout
+from ikjax.study import spec as specs
+from ikjax.study.place import Place, StorageError
+from ikjax.study.store import Store
+from ikjax.study.sweep import SweepStoppedError
+
+pytest.importorskip("tensorstore")
+HERE = pathlib.Path(__file__).parent
+
+
+@pytest.fixture(scope="module")
+def memory():
+    """The bits of the sweep that is stored nowhere."""
+    reach = small.swept()
+    assert 0 < reach.solutions_within.sum() < reach.solutions.sum()
+    return small.bits(reach)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A folder with an undisturbed map."""
+    out = tmp_path_factory.mktemp("whole") / "map.zarr"
+    assert small.swept(out).units == (small.UNITS, 0, small.UNITS, 0)
+    return out
+
+
+@pytest.fixture
+def copy(whole, tmp_path):
+    return shutil.copytree(whole, tmp_path / "map.zarr")
+
+
+def assert_whole(out, whole, memory):
+    assert small.bits(ikjax.ReachMap.load(out)) == memory
+    assert small.files(out) == small.files(whole)
+
+
+@pytest.mark.parametrize("chunk", [None, (1, 8, 2), (3, 5, 2), (8, 1, 1), (99, 2, 3)])
+def test_the_bits_do_not_depend_on_the_chunks_or_the_place(chunk, memory, tmp_path):
+    assert small.bits(small.swept(chunk=chunk)) == memory
+    assert small.bits(small.swept(tmp_path / "map.zarr", chunk=chunk)) == memory
+    assert small.bits(small.swept(f"memory://{tmp_path.name}/map.zarr", chunk=chunk)) == memory
+
+
+def test_a_finished_map_is_kept_as_it_is_when_gone_on_with(copy, whole, memory):
+    before = (copy / layout.GROUP).read_bytes()
+    assert small.swept(copy, resume=True, chunk=None).units == (small.UNITS, small.UNITS, 0, 0)
+    assert (copy / layout.GROUP).read_bytes() == before
+    assert_whole(copy, whole, memory)
+
+
+def killed_and_resumed(words, folder, whole, memory):
+    """Kill sweeps at the steps and times given, and again while they go on; then go on to the end."""
+    command = [sys.executable, str(HERE / "killed.py"), str(folder), *words]
+    run = subprocess.run(command, capture_output=True, text=True, env=os.environ)
+    assert run.returncode == 0, run.stderr[-2000:]
+    ends = [line.split(",") for line in run.stdout.splitlines()]
+    assert [end[0] for end in ends] == list(words)
+    kept = []
+    for word in words:
+        units = small.swept(folder / f"{word}.zarr", resume=True).units
+        kept.append(units.kept)
+        assert units.damaged == 0
+        assert_whole(folder / f"{word}.zarr", whole, memory)
+        assert not (folder / f"{word}.zarr.lock").exists()
+    return ends, kept
+
+
+def test_a_sweep_killed_at_a_write_goes_on_to_the_same_bits(whole, memory, tmp_path):
+    steps = [1, 2, 3, 4, 9, 14, 19, 20, 21, 33, 48, small.STEPS - 2]
+    ends, kept = killed_and_resumed([str(step) for step in steps], tmp_path, whole, memory)
+    assert [end[1] for end in ends] == ["killed"] * len(steps)
+    assert kept[0] < 2 and kept[-1] > 5  # what was written is not computed again
+
+
+@pytest.mark.long
+def test_two_hundred_kills(whole, memory, tmp_path):
+    steps = [str(step) for step in range(1, small.STEPS + 3)]
+    times = [f"{t:.4f}" for t in np.linspace(0.15, 0.9, 200 - len(steps))]
+    ends, _ = killed_and_resumed(steps + times, tmp_path, whole, memory)
+    assert sum(end[1] == "killed" for end in ends) > 150
+
+
+def damage(path: pathlib.Path, how: str, rng) -> None:
+    data = bytearray(path.read_bytes())
+    place = int(rng.integers(len(data)))
+    if how == "flip":
+        data[place] ^= 1 << int(rng.integers(8))
+    elif how == "cut":
+        del data[place:]
+    if how == "delete":
+        path.unlink()
+    else:
+        path.write_bytes(data)
+
+
+@pytest.mark.parametrize("how", ["flip", "cut", "delete"])
+def test_damage_anywhere_is_found_and_mended(how, copy, whole, memory, rng):
+    paths = sorted(path.relative_to(whole) for path in whole.rglob("*") if path.is_file())
+    documents = [path for path in paths if path.name == "zarr.json"]
+    chunks = [path for path in paths if path.name != "zarr.json"]
+    for path in [*documents, *rng.permutation(np.array(chunks, object))[:12]]:
+        damage(copy / path, how, rng)
+        with pytest.raises(ValueError, match=r"map\.zarr"):
+            small.bits(ikjax.ReachMap.load(copy))
+        units = small.swept(copy, resume=True).units
+        if path in chunks and path.parts[0] in layout.STATISTICS:
+            assert units == (8, 7, how == "delete", how != "delete")
+        else:
+            assert units == (8, 8, 0, 0)
+        assert_whole(copy, whole, memory)
+
+
+def test_an_unfinished_map_says_so_and_is_not_swept_over(copy, whole, memory):
+    shutil.rmtree(copy / "solutions" / "c" / "0")
+    with pytest.raises(ValueError, match=r"unfinished: 4 of 8 units are missing; go on .*--resume"):
+        ikjax.ReachMap.load(copy)
+    (copy / layout.GROUP).write_bytes(layout.group(head_of(copy)._replace(state="sweeping")))
+    with pytest.raises(FileExistsError, match="unfinished map; go on with resume=True"):
+        small.swept(copy)
+    assert small.swept(copy, resume=True).units == (8, 4, 4, 0)
+    assert_whole(copy, whole, memory)
+
+
+def head_of(out) -> layout.Head:
+    head = layout.read_group((out / layout.GROUP).read_bytes())
+    assert head is not None
+    return head
+
+
+def test_another_spec_is_refused_with_both_fingerprints(copy, whole):
+    with pytest.raises(ValueError) as caught:
+        small.swept(copy, resume=True, dtype="float64", positions=ikjax.grid((0, 0, 0), (1, 1, 1), 0.25))
+    said = str(caught.value)
+    assert specs.fingerprint(head_of(whole).spec) in said and said.count("fingerprint") == 1
+    assert 'dtype: "float32" there, "float64" here' in said and "grid.spacing: 0.1 there, 0.25 here" in said
+    with pytest.raises(ValueError, match=r"has chunk \(4, 4, 1\), got chunk \(2, 2, 2\)"):
+        small.swept(copy, resume=True, chunk=(2, 2, 2))
+    assert small.files(copy) == small.files(whole)
+
+
+def test_a_finished_map_gives_way_to_a_new_one(copy):
+    coarse = ikjax.grid((-0.3, -0.3, -0.1), (0.3, 0.3, 0), 0.3)
+    back = small.swept(copy, positions=coarse)
+    assert back.grid == coarse and back.units.missing == back.units.total
+    assert small.bits(back) == small.bits(small.swept(positions=coarse))
+    assert len(list((copy / "reachable" / "c").rglob("*/*/*"))) == back.units.total
+
+
+def test_a_second_writer_is_refused(copy, whole):
+    inner = {}
+
+    def stop(ended):
+        if not inner:
+            for options in ({"resume": True}, {}):
+                with pytest.raises(ValueError, match=r"is being written by process \d+ on this machine"):
+                    small.swept(copy, **options)
+            inner["tried"] = True
+
+    (copy / "reachable" / "c" / "0" / "0" / "0").unlink()
+    small.swept(copy, resume=True, stop=stop)
+    assert inner and small.files(copy) == small.files(whole)
+
+
+def test_a_sweep_that_is_told_to_stop_keeps_its_units(tmp_path, whole, memory):
+    out = tmp_path / "map.zarr"
+    ends = []
+    with pytest.raises(
+        SweepStoppedError, match=r"stopped: tea; .* holds 3 of 8 units; go on with resume=True"
+    ):
+        small.swept(out, stop=lambda ended: "tea" if ended and (ends.append(1) or len(ends) == 3) else None)
+    assert not (tmp_path / "map.zarr.lock").exists()
+    assert small.swept(out, resume=True).units == (8, 3, 5, 0)
+    assert_whole(out, whole, memory)
+
+
+def test_a_full_disk_is_named_and_leaves_earlier_units_whole(tmp_path, whole, memory):
+    # A limit on the size of a file is what a full disk looks like to a write: part of it arrives.
+    code = f"""
+import resource, signal, sys
+sys.path[:0] = [{str(HERE.parent.parent)!r}, {str(HERE)!r}]
+import small
+from ikjax.study.store import Store
+whole = Store.put
+def put(store, number, values):
+    if number == 4:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (50, resource.RLIM_INFINITY))
+    return whole(store, number, values)
+Store.put = put
+small.swept({str(tmp_path / "map.zarr")!r})
+"""
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert run.returncode == 1 and "File too large" in run.stderr
+    last = run.stderr.strip().splitlines()[-1]
+    # Two units may be on their way when the disk fills.
+    assert last.startswith("ikjax.study.place.StorageError") and "cannot write unit" in last
+    units = small.swept(tmp_path / "map.zarr", resume=True).units
+    assert units.damaged == 0 and 2 <= units.kept <= 4
+    assert_whole(tmp_path / "map.zarr", whole, memory)
+
+
+def test_a_place_that_cannot_be_written_is_named(tmp_path):
+    # Whoever runs this may write anywhere, so a file stands where a folder is wanted.
+    (tmp_path / "file").write_text("dear")
+    with pytest.raises(StorageError, match=r"cannot write .*file/map\.zarr\.lock"):
+        small.swept(tmp_path / "file" / "map.zarr")
+    with pytest.raises(FileExistsError, match="is left alone"):
+        small.swept(tmp_path / "file")
+    assert (tmp_path / "file").read_text() == "dear"
+    with pytest.raises(ValueError, match="no place that tensorstore can open"):
+        small.swept("carrier-pigeon://map")
+
+
+def test_an_error_of_the_store_ends_a_sweep_that_can_go_on(monkeypatch, tmp_path, whole, memory):
+    put = Store.put
+
+    def failing(store, number, values):
+        futures = put(store, number, values)
+
+        class Failed:
+            def result(self):
+                raise ValueError("RESOURCE_EXHAUSTED: No space left on device")
+
+        return [*futures, Failed()] if number == 2 else futures
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Store, "put", failing)
+        with pytest.raises(StorageError, match="unit 3 of 8: RESOURCE_EXHAUSTED: No space left on device"):
+            small.swept(tmp_path / "map.zarr")
+    small.swept(tmp_path / "map.zarr", resume=True)
+    assert_whole(tmp_path / "map.zarr", whole, memory)
+
+
+def test_a_stored_map_is_read_when_it_is_asked_for(copy, memory):
+    reach = ikjax.ReachMap.load(copy)
+    shape = reach.grid.shape
+    data = np.frombuffer(memory["solutions"], np.int32).reshape(shape)
+    (copy / "solutions" / "c" / "1" / "1" / "1").write_bytes(b"")
+    assert (reach.arrays["solutions"][:4, 2] == data[:4, 2]).all()
+    with pytest.raises(ValueError, match="solutions is damaged"):
+        reach.solutions  # noqa: B018
+
+
+def test_a_map_without_the_margin(tmp_path, memory):
+    reach = small.swept(tmp_path / "map.zarr", statistics=layout.COUNTS)
+    assert small.bits(reach) == {name: memory[name] for name in layout.COUNTS}
+    assert reach.summary() and not (tmp_path / "map.zarr" / "best_margin").exists()
+    with pytest.raises(ValueError, match="made without best_margin"):
+        reach.best_margin  # noqa: B018
+    with pytest.raises(ValueError, match="statistics must be reachable"):
+        small.swept(statistics=["best_margin"])
+
+
+def test_an_arm_in_a_map_keeps_its_coupling_and_correction(tmp_path, rng):
+    correction = np.zeros((5, 6))
+    correction[1] = 1e-4 * rng.normal(size=6)
+    arm = ikjax.Arm.from_dh(
+        a=[0.3, 0.2, 0, 0], alpha=[0, 0, 0, 0], d=[0.1, 0, 0, 0], kinds="RRPR", convention="standard",
+        coupling=np.eye(4) + np.eye(4, k=1), correction=correction,
+    )  # fmt: skip
+    back = specs.to_arm(specs.of_arm(arm))
+    assert np.array_equal(back.coupling, arm.coupling) and np.array_equal(back.correction, arm.correction)
+    assert specs.of_arm(back) == specs.of_arm(arm)
+    plain = specs.of_arm(ikjax.robots.gx4_351s())
+    assert specs.fingerprint(plain) != specs.fingerprint({**plain, "coupling": np.eye(4).tolist()})
+
+
+def test_default_chunks_are_about_a_second_of_work():
+    for orientations in (1, 48, 512, 10**4, 10**7):
+        for shape in ((71, 71, 71), (2000, 2000, 2000), (3, 500, 1)):
+            chunk = layout.default_chunk(shape, orientations)
+            assert all(1 <= edge <= size for edge, size in zip(chunk, shape, strict=True))
+            assert np.prod(chunk) * orientations <= max(layout.GOALS * 1.01, 512 * orientations)
+
+
+def test_keys_beside_a_place_are_not_in_it(tmp_path):
+    Place(tmp_path / "map.zarr.old").write("a", b"1")
+    assert Place(tmp_path / "map.zarr").keys() == set()
