@@ -8,6 +8,7 @@ import hashlib
 import json
 import math
 import sys
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +25,8 @@ def of_study(arm: Arm, grid: Grid, rotations: np.ndarray, dtype: str, statistics
         "schema": SCHEMA,
         # The front door is in no storey, but whoever calls has come through it.
         "ikjax": sys.modules["ikjax"].__version__,
-        "arm": of_arm(arm),
+        # As the kernel sees it, whatever type its leaves have where it is swept.
+        "arm": of_arm(arm.astype(dtype)),
         "grid": dataclasses.asdict(grid),
         "rotations": {"count": len(rotations), "sha256": hash_of(rotations)},
         "dtype": dtype,
@@ -71,14 +73,19 @@ _FACTS = ("family", "signs", "branches", "task")
 
 
 def of_arm(arm: Arm) -> dict:
-    """An arm as JSON: lists of numbers, infinities as null."""
-    columns = {name: np.asarray(getattr(arm, name), float).tolist() for name in _LEAVES}
+    """An arm as JSON: lists of the shortest numbers that round to its leaves, infinities as null."""
+    columns: dict[str, Any] = {name: _numbers(getattr(arm, name)) for name in _LEAVES}
     columns["limits"] = [[x if math.isfinite(x) else None for x in pair] for pair in columns["limits"]]
     for name in _OPTIONAL:
         leaf = getattr(arm, name)
-        columns[name] = None if leaf is None else np.asarray(leaf, float).tolist()
+        columns[name] = None if leaf is None else _numbers(leaf)
     facts = {key: getattr(arm, key) for key in _FACTS}
     return {"name": arm.name, "kinds": arm.kinds, **facts, **columns}
+
+
+def _numbers(leaf) -> list:
+    shortest = [float(str(x)) for x in np.asarray(leaf).ravel()]
+    return np.reshape(shortest, np.shape(leaf)).tolist()
 
 
 def to_arm(spec: dict) -> Arm:

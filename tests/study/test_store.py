@@ -277,6 +277,15 @@ def test_an_arm_in_a_map_keeps_its_coupling_and_correction(tmp_path, rng):
     assert specs.fingerprint(plain) != specs.fingerprint({**plain, "coupling": np.eye(4).tolist()})
 
 
+def test_a_spec_does_not_depend_on_the_type_that_an_arm_comes_in():
+    arm = ikjax.robots.puma560()
+    rest = ikjax.around(arm, 1), np.eye(3)[None], "float32", layout.COUNTS
+    spec = specs.of_study(arm, *rest)
+    assert spec == specs.of_study(arm.astype(np.float32), *rest) and spec["arm"]["a"][1] == 0.4318
+    back = specs.to_arm(spec["arm"]).astype(np.float32)
+    assert np.array_equal(back.theta, arm.astype(np.float32).theta) and back.family == arm.family
+
+
 def test_default_chunks_are_about_a_second_of_work():
     for orientations in (1, 48, 512, 10**4, 10**7):
         for shape in ((71, 71, 71), (2000, 2000, 2000), (3, 500, 1)):
