@@ -1,10 +1,12 @@
 """The command `ikjax`: info, solve, sweep, show, verify, doctor.
 
 Outside the storeys: it may import everything, nothing imports it. Text for people by default, one
-JSON object with --json. Exit codes: 0 found, 1 none found or a check failed, 2 bad input.
+JSON object with --json. Exit codes: 0 found, 1 none found or a check failed, 2 bad input; `sweep` has more,
+see its help.
 """
 
 import argparse
+import dataclasses
 import json
 import math
 import pathlib
@@ -17,7 +19,10 @@ import jax
 import numpy as np
 
 import ikjax
-from ikjax.study.place import Place
+from ikjax.study import compare, recipe
+from ikjax.study.place import Place, StorageError
+from ikjax.study.stop import TIME_IS_UP, Stop
+from ikjax.study.sweep import SweepStoppedError
 
 
 def main(argv=None) -> int:
@@ -92,10 +97,15 @@ def _parser() -> argparse.ArgumentParser:
     _add_dtype(solve, "--float32")
 
     sweep = command(_sweep, "sweep", "Sweep an arm's workspace: a map, a picture, a summary.")
-    sweep.add_argument("arm")
-    sweep.add_argument("--spacing", type=_size, default=0.05, help="between positions [m]")
-    sweep.add_argument("--orientations", type=int, default=512, help="even ones at every position")
-    sweep.add_argument("--out", help="write the map here (zarr v3)")
+    sweep.formatter_class = argparse.RawDescriptionHelpFormatter
+    sweep.epilog = SWEEP_ENDS
+    sweep.add_argument("arm", metavar="ARM|STUDY.toml", help="an arm, a URDF file, or a file that says all")
+    sweep.add_argument("--spacing", type=_size, help="between positions [m], 0.05 by default")
+    sweep.add_argument("--orientations", type=int, help="even ones at every position, 512 by default")
+    sweep.add_argument("--out", help="store the map here: a folder (zarr v3), or a URL such as s3://...")
+    sweep.add_argument("--resume", action="store_true", help="go on with what is at --out, or start")
+    sweep.add_argument("--max-hours", type=_size, help="stop at the end of a unit after so long")
+    sweep.add_argument("--compare", metavar="MAP", help="an earlier map to compare with")
     sweep.add_argument("--picture", help="write a PNG here")
     _add_dtype(sweep, "--float64")
 
@@ -113,6 +123,17 @@ def _parser() -> argparse.ArgumentParser:
     return top
 
 
+SWEEP_ENDS = f"""\
+Beside a map in a folder lies its diary, MAP.log. Exit codes:
+  0    swept, and something is reached
+  1    swept, and nothing is reached
+  2    bad input, a map of another study, another writer at work
+  3    the map cannot be written; the units before that are whole
+  {TIME_IS_UP}    --max-hours are over; go on with --resume
+  130  stopped by SIGINT (Ctrl-C), 143 by SIGTERM; go on with --resume
+"""
+
+
 def _add_dtype(parser: argparse.ArgumentParser, flag: str) -> None:
     parser.add_argument(flag, action="store_true", dest="other_dtype", help=f"compute in {flag[2:]}")
 
@@ -126,15 +147,11 @@ def _say(options, text: str, data: dict) -> None:
     print(json.dumps(data, allow_nan=False) if options.json else _plain(text))
 
 
-def _arm(name: str) -> ikjax.Arm:
-    """An arm of the catalogue, or of a URDF file."""
-    return ikjax.Arm.from_urdf(pathlib.Path(name)) if name.endswith(".urdf") else ikjax.robots.get(name)
-
-
 def _verify(options) -> int:
     dtype = np.float32 if options.other_dtype else np.float64
     reports = [
-        ikjax.verify(_arm(name), options.count, dtype=dtype) for name in options.arm or ikjax.robots.names()
+        ikjax.verify(recipe.find_arm(name), options.count, dtype=dtype)
+        for name in options.arm or ikjax.robots.names()
     ]
     head = ("arm", "family", "type", "goals", "success", "wrong", "none", "missing", "singular", "worst")
     rows = [[*map(str, report[:-1]), f"{report.worst:.1e}"] for report in reports]
@@ -154,7 +171,7 @@ def _info(options) -> int:
         catalogue = {arm.name: {"kinds": arm.kinds, "family": arm.family} for arm in arms}
         _say(options, "\n".join(lines), catalogue)
         return 0
-    arm = _arm(options.arm)
+    arm = recipe.find_arm(options.arm)
     table = {key: np.asarray(getattr(arm, key)).tolist() for key in ("a", "alpha", "d", "theta")}
     limits = [[x if np.isfinite(x) else None for x in pair] for pair in np.asarray(arm.limits).tolist()]
     data = {"name": arm.name, "kinds": arm.kinds, "family": arm.family, "branches": arm.branches}
@@ -177,7 +194,7 @@ def _row(values) -> str:
 
 def _solve(options) -> int:
     dtype = np.float32 if options.other_dtype else np.float64
-    arm = _arm(options.arm)
+    arm = recipe.find_arm(options.arm)
     goal = ikjax.pose(options.xyz, rpy=options.rpy, wxyz=options.wxyz, dtype=dtype)
     ikjax.check_goals(arm, goal)
     sol = ikjax.solve(arm, goal, q_now=options.q_now)
@@ -228,21 +245,51 @@ def _check_places(options) -> None:
             raise ValueError(f"--picture must end in one of {', '.join(kinds)}, got {options.picture!r}")
 
 
+def _study(options) -> recipe.Recipe:
+    """What is asked for, by a file or by options."""
+    if options.arm.endswith(".toml"):
+        for name in ("spacing", "orientations", "other_dtype"):
+            if getattr(options, name):
+                flag = "float64" if name == "other_dtype" else name
+                raise ValueError(f"--{flag} is for {options.arm} to say")
+        return recipe.read(options.arm)
+    arm = recipe.find_arm(options.arm)
+    orientations = 512 if options.orientations is None else options.orientations
+    positions = ikjax.around(arm, options.spacing or 0.05)
+    dtype = "float64" if options.other_dtype else "float32"
+    return recipe.Recipe(arm, positions, orientations, recipe.STATISTICS, None, dtype)
+
+
 def _sweep(options) -> int:
-    dtype = np.float64 if options.other_dtype else np.float32
-    arm = _arm(options.arm)
+    study = _study(options)
     _check_places(options)
-    positions = ikjax.around(arm, options.spacing)
-    if math.prod(positions.shape) >= 2**31:
-        raise ValueError(
-            f"--spacing {options.spacing:g} asks for {math.prod(positions.shape):.2g} positions, 2^31 or more"
-        )
+    if options.resume and not options.out:
+        raise ValueError("--resume needs --out, the map to go on with")
+    earlier = ikjax.ReachMap.load(options.compare) if options.compare else None
+    # Read now: the earlier map may be the one that is replaced.
+    earlier = earlier and dataclasses.replace(earlier, arrays=earlier.to_numpy())
+    positions = math.prod(study.positions.shape)
+    if positions >= 2**31:
+        raise ValueError(f"--spacing asks for {positions:.2g} positions, 2^31 or more")
     if not options.json:
-        print(f"sweeping {arm.name}: {positions.count * options.orientations:,} goals", file=sys.stderr)
-    reach = ikjax.sweep(
-        arm, positions, options.orientations, dtype=dtype, out=options.out, progress=not options.json
-    )
-    return _report(options, reach)
+        count = study.orientations if np.ndim(study.orientations) == 0 else len(study.orientations)
+        print(_plain(f"sweeping {study.arm.name}: {positions * count:,} goals"), file=sys.stderr)
+    with Stop(options.max_hours) as stop:
+        try:
+            reach = ikjax.sweep(
+                **study._asdict(),
+                out=options.out,
+                resume=options.resume,
+                progress=not options.json,
+                stop=stop,
+            )
+        except SweepStoppedError as stopped:
+            _complain(stopped)
+            return stop.code
+        except StorageError as error:
+            _complain(error)
+            return 3
+    return _report(options, reach, earlier)
 
 
 def _show(options) -> int:
@@ -250,17 +297,22 @@ def _show(options) -> int:
     return _report(options, ikjax.ReachMap.load(options.map))
 
 
-def _report(options, reach: ikjax.ReachMap) -> int:
+def _report(options, reach: ikjax.ReachMap, earlier: ikjax.ReachMap | None = None) -> int:
     text = reach.summary()
-    if getattr(options, "out", None):
-        text += f"\n  map               {options.out}"
+    data: dict[str, Any] = {"arm": reach.arm.name, **reach.numbers()}
+    if reach.units is not None:
+        text += f"\n  map               {options.out}: {reach.units}"
+        data["units"] = reach.units._asdict()
     if options.picture:
         from ikjax import plot
 
         plot.reach_map(reach, options.picture)
         text += f"\n  picture           {options.picture}"
-    _say(options, text, {"arm": reach.arm.name, **reach.numbers()})
-    return 0 if (reach.reachable_within > 0).any() else 1
+    if earlier is not None:
+        data["compared"] = compare.compare(earlier, reach)
+        text += f"\n{compare.in_words(data['compared'], options.compare)}"
+    _say(options, text, data)
+    return 0 if data["positions_reachable"] > 0 else 1
 
 
 def _doctor(options) -> int:

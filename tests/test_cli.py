@@ -2,8 +2,10 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -98,6 +100,11 @@ def test_both_precisions_agree(run):
 @pytest.mark.parametrize(
     "words, says",
     [
+        (["sweep", "puma560", "--resume"], "--resume needs --out"),
+        (["sweep", "nowhere.toml"], "No such file"),
+        (["sweep", "nowhere.toml", "--spacing", "1"], "--spacing is for nowhere.toml to say"),
+        (["sweep", "ur5", "--compare", "nowhere.zarr"], "holds no ikjax map"),
+        (["sweep", "ur5", "--max-hours", "-1"], "not a positive number"),
         (["solve", "nobody", *GOAL], "no robot 'nobody'"),
         (["solve", "no\x1b[31mbody", *GOAL], r"no robot 'no\x1b[31mbody'"),
         (["solve", "puma560", "--xyz", "1", "2"], "--xyz"),
@@ -140,6 +147,7 @@ def test_something_else_at_out_is_left_alone_before_anything_is_swept(run, tmp_p
 def test_a_stored_map_shows_what_the_sweep_said(run, swept):
     path, said = swept
     code, out, _ = run("show", path, "--json")
+    assert said.pop("units") == {"total": 1, "kept": 0, "missing": 1, "damaged": 0}
     assert code == 0 and json.loads(out) == said
     assert run("show", path)[1].startswith("ur5: ")
 
@@ -159,7 +167,8 @@ def test_a_damaged_map_is_refused(run, swept):
 def test_a_stored_map_becomes_a_picture(run, swept, tmp_path):
     pytest.importorskip("matplotlib")
     picture = tmp_path / "deep" / "map.png"
-    assert run("show", swept[0], "--picture", picture)[0] == 0
+    code, _, err = run("show", swept[0], "--picture", picture)
+    assert code == 0, err
     assert picture.stat().st_size > 10_000
 
 
@@ -226,3 +235,66 @@ def test_verify_finds_a_wrong_answer(monkeypatch):
     monkeypatch.setattr(verify, "solve", lying)
     report = verify.verify(ikjax.robots.planar_3r(), 200)
     assert report.wrong > 200 and report.success == 0
+
+
+STUDY = """
+arm = "gx4_351s"
+spacing = {spacing}
+orientations = {{ wxyz = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0.8, 0.6, 0]] }}
+chunk = [16, 16, 16]
+"""
+
+
+@pytest.fixture
+def study(tmp_path):
+    pytest.importorskip("tensorstore")
+
+    def written(spacing):
+        (tmp_path / "study.toml").write_text(STUDY.format(spacing=spacing))
+        return tmp_path / "study.toml"
+
+    return written
+
+
+def test_a_study_is_swept_gone_on_with_and_compared(run, study, tmp_path):
+    words = ["sweep", study(0.03), "--out", tmp_path / "map.zarr"]
+    code, _, err = run(*words, "--max-hours", 1e-9)
+    assert code == 4 and "stopped: 1e-09 hours are over; " in err and "map.zarr holds 1 of 8 units" in err
+    code, _, err = run("show", tmp_path / "map.zarr")
+    assert code == 2 and "unfinished: 7 of 8 units are missing; go on" in err
+    code, _, err = run(*words)
+    assert code == 2 and "holds an unfinished map; go on with resume=True (--resume)" in err
+    code, out, _ = run(*words, "--resume", "--json")
+    said = json.loads(out)
+    assert code == 0 and said["units"] == {"total": 8, "kept": 1, "missing": 7, "damaged": 0}
+    code, out, _ = run(*words, "--compare", tmp_path / "map.zarr")
+    assert code == 0 and "positions that differ      0" in out
+    diary = (tmp_path / "map.zarr.log").read_text()
+    assert "1 of 8 units kept, 7 missing, 0 damaged" in diary and "SweepStoppedError" in diary
+    study(0.06)
+    code, _, err = run(*words, "--resume")
+    assert code == 2 and "grid.spacing: 0.03 there, 0.06 here" in err
+
+
+def test_a_map_that_cannot_be_written_exits_with_3(run, study, tmp_path):
+    (tmp_path / "letter").write_text("dear")
+    code, _, err = run("sweep", study(0.2), "--out", tmp_path / "letter" / "map.zarr")
+    assert code == 3 and "cannot write" in err.splitlines()[-1]
+
+
+@pytest.mark.parametrize("name, code", [("SIGINT", 130), ("SIGTERM", 143)])
+def test_a_signal_stops_a_sweep_that_can_be_gone_on_with(run, study, tmp_path, name, code):
+    words = ["sweep", str(study(0.004)), "--out", str(tmp_path / "map.zarr")]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [sys.executable, "-m", "ikjax.cli", *words]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, env=environment, text=True) as program:
+        while not list((tmp_path / "map.zarr" / "best_margin" / "c").glob("*/*/*")):
+            assert program.poll() is None
+            time.sleep(0.02)
+        program.send_signal(getattr(signal, name))
+        _, err = program.communicate(timeout=60)
+        assert program.returncode == code
+    assert f"stopped: {name}; " in err and "units; go on with resume=True (--resume)" in err
+    assert not (tmp_path / "map.zarr.lock").exists()
+    _, _, err = run(*words, "--resume", "--max-hours", "1e-9")
+    assert int(err.split(" holds ")[1].split(" of ")[0]) >= 2

@@ -35,6 +35,8 @@ class Head(NamedTuple):
     """What the group's document says."""
 
     spec: dict
+    arm: dict
+    """As it was given: the spec has it rounded to the kernel's type."""
     chunk: tuple[int, ...]
     state: str
     """"clearing" (what is there is being removed), "sweeping" or "complete"."""
@@ -86,6 +88,7 @@ def group(head: Head) -> bytes:
         "state": head.state,
         "seconds": head.seconds,
         "spec": head.spec,
+        "arm": head.arm,
     }
     attributes["checksum"] = hashlib.sha256(specs.canonical(attributes).encode()).hexdigest()
     return _document({"zarr_format": 3, "node_type": "group", "attributes": attributes})
@@ -95,7 +98,7 @@ def read_group(document: bytes | None) -> Head | None:
     """What a group's document says, or None if it is none of this schema or not as it was written."""
     try:
         said = json.loads(document or b"")["attributes"]
-        head = Head(said["spec"], tuple(said["chunk"]), said["state"], said["seconds"])
+        head = Head(said["spec"], said["arm"], tuple(said["chunk"]), said["state"], said["seconds"])
         return head if group(head) == document else None
     except (ValueError, KeyError, TypeError, RecursionError):
         return None

@@ -172,7 +172,7 @@ class ReachMap:
         """
         study = spec.of_study(self.arm, self.grid, self.rotations, self.dtype, tuple(self.arrays))
         chunk = layout.default_chunk(self.grid.shape, self.orientations) if chunk is None else tuple(chunk)
-        head = layout.Head(study, chunk, "sweeping", 0.0)
+        head = layout.Head(study, spec.of_arm(self.arm), chunk, "sweeping", 0.0)
         fixed = layout.fixed(self.grid, self.rotations)
         place, values = Place(out), self.to_numpy()
         with Lock(place):
@@ -197,7 +197,7 @@ class ReachMap:
             raise ValueError(f"{place}: rotations are not those of its spec")
         grid = head.spec["grid"]
         return ReachMap(
-            arm=spec.to_arm(head.spec["arm"]),
+            arm=spec.to_arm(head.arm),
             grid=Grid(tuple(grid["origin"]), grid["spacing"], tuple(grid["shape"])),
             rotations=rotations,
             dtype=head.spec["dtype"],

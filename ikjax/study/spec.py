@@ -25,7 +25,7 @@ def of_study(arm: Arm, grid: Grid, rotations: np.ndarray, dtype: str, statistics
         "schema": SCHEMA,
         # The front door is in no storey, but whoever calls has come through it.
         "ikjax": sys.modules["ikjax"].__version__,
-        # As the kernel sees it, whatever type its leaves have where it is swept.
+        # Rounded as the kernel sees it, whatever type its leaves have where it is swept.
         "arm": of_arm(arm.astype(dtype)),
         "grid": dataclasses.asdict(grid),
         "rotations": {"count": len(rotations), "sha256": hash_of(rotations)},
@@ -80,7 +80,7 @@ def of_arm(arm: Arm) -> dict:
         leaf = getattr(arm, name)
         columns[name] = None if leaf is None else _numbers(leaf)
     facts = {key: getattr(arm, key) for key in _FACTS}
-    return {"name": arm.name, "kinds": arm.kinds, **facts, **columns}
+    return {"name": arm.name, "kinds": arm.kinds, "dtype": arm.dtype.name, **facts, **columns}
 
 
 def _numbers(leaf) -> list:
@@ -93,7 +93,8 @@ def to_arm(spec: dict) -> Arm:
     limits = [[-math.inf if lo is None else lo, math.inf if hi is None else hi] for lo, hi in spec["limits"]]
     table = {name: spec[name] for name in (*_LEAVES, *_OPTIONAL)} | {"limits": limits}
     # Leaves that were rounded to float32 are judged as such: the family is the one that was stored.
-    arm = Arm.from_dh(**table, kinds=spec["kinds"], name=spec["name"], convention="standard")
+    dtype = np.float32 if spec["dtype"] == "float32" else None
+    arm = Arm.from_dh(**table, kinds=spec["kinds"], name=spec["name"], convention="standard", dtype=dtype)
     return dataclasses.replace(
         arm,
         family=spec["family"],

@@ -86,7 +86,7 @@ def sweep(
     rotations, dtype, names = _checked(arm, positions, orientations, dtype, statistics)
     study = spec.of_study(arm, positions, rotations, dtype.name, names)
     wanted = _chunk(chunk, positions.shape, len(rotations))
-    head = layout.Head(study, wanted, "sweeping", 0.0)
+    head = layout.Head(study, spec.of_arm(arm), wanted, "sweeping", 0.0)
     kernel = statistics_of(arm, rotations, dtype, "best_margin" in names)
 
     def run(sink, todo: list[int], diary: log.Log) -> float:

@@ -1,5 +1,6 @@
 """Stored maps survive whatever interrupts or damages them, and are never wrong."""
 
+import importlib.util
 import os
 import pathlib
 import shutil
@@ -253,6 +254,32 @@ def test_a_stored_map_is_read_when_it_is_asked_for(copy, memory):
         reach.solutions  # noqa: B018
 
 
+def test_the_arm_in_a_map_is_the_arm_that_was_given(tmp_path):
+    arm = ikjax.robots.ur5()
+    reach = ikjax.sweep(arm, ikjax.around(arm, 0.5), 4, dtype="float32", out=tmp_path / "map.zarr")
+    assert np.array_equal(reach.arm.alpha, arm.alpha) and reach.arm.dtype == arm.dtype
+
+
+def test_a_map_becomes_a_dataset_or_says_what_to_install(copy, memory):
+    reach = ikjax.ReachMap.load(copy)
+    if importlib.util.find_spec("xarray") is None:
+        with pytest.raises(ImportError, match=r"pip install 'ikjax\[xarray\]'"):
+            reach.to_xarray()
+        return
+    data = reach.to_xarray()
+    assert {name: data[name].values.tobytes() for name in layout.STATISTICS} == memory
+    assert data.sizes == {"x": 8, "y": 8, "z": 2} and np.array_equal(data.x, reach.grid.axis(0))
+    assert data.attrs["orientations"] == 48
+
+
+@pytest.mark.parametrize("name", ["zarr", "xarray"])
+def test_a_stored_map_opens_in_other_readers(name, copy, memory):
+    reader = pytest.importorskip(name)
+    pytest.importorskip("zarr")
+    data = reader.open_group(copy, mode="r") if name == "zarr" else reader.open_zarr(copy, consolidated=False)
+    assert {key: np.asarray(data[key]).tobytes() for key in layout.STATISTICS} == memory
+
+
 def test_a_map_without_the_margin(tmp_path, memory):
     reach = small.swept(tmp_path / "map.zarr", statistics=layout.COUNTS)
     assert small.bits(reach) == {name: memory[name] for name in layout.COUNTS}
@@ -282,8 +309,9 @@ def test_a_spec_does_not_depend_on_the_type_that_an_arm_comes_in():
     rest = ikjax.around(arm, 1), np.eye(3)[None], "float32", layout.COUNTS
     spec = specs.of_study(arm, *rest)
     assert spec == specs.of_study(arm.astype(np.float32), *rest) and spec["arm"]["a"][1] == 0.4318
-    back = specs.to_arm(spec["arm"]).astype(np.float32)
-    assert np.array_equal(back.theta, arm.astype(np.float32).theta) and back.family == arm.family
+    back = specs.to_arm(spec["arm"])
+    assert back.dtype == np.float32 and back.family == arm.family
+    assert np.array_equal(back.alpha, arm.astype(np.float32).alpha)
 
 
 def test_default_chunks_are_about_a_second_of_work():

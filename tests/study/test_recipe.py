@@ -1,0 +1,88 @@
+"""A study's file says what is meant, or is refused by key."""
+
+import numpy as np
+import pytest
+
+import ikjax
+from ikjax.study import recipe
+from ikjax.study.layout import STATISTICS
+
+SHORT = 'arm = "ur5"\nspacing = 0.5\norientations = 8\n'
+
+
+@pytest.fixture
+def read(tmp_path):
+    def written(text):
+        (tmp_path / "study.toml").write_text(text)
+        return recipe.read(tmp_path / "study.toml")
+
+    return written
+
+
+def test_a_short_study_takes_the_defaults(read):
+    study = read(SHORT)
+    assert study.arm.name == "ur5" and study.positions == ikjax.around(study.arm, 0.5)
+    assert study[2:] == (8, STATISTICS, None, "float32")
+
+
+def test_a_study_can_say_everything(read, tmp_path):
+    study = read(
+        """
+        arm = "puma560"
+        spacing = 0.5
+        orientations = { wxyz = [[1, 0, 0, 0], [0, 1, 0, 0]] }
+        bounds = [[0, 0, 0], [1, 1, 0.5]]
+        limits = [[-1, 1], [-2, 2], [-3, 3], [-1, 1], [-2, 2], [-inf, inf]]
+        statistics = ["reachable", "solutions", "reachable_within", "solutions_within"]
+        chunk = [2, 1, 2]
+        dtype = "float64"
+        """
+    )
+    assert study.positions.shape == (3, 3, 2)
+    assert np.allclose(study.orientations, [np.eye(3), np.diag([1, -1, -1])], atol=1e-7)
+    assert study.arm.limits[1].tolist() == [-2, 2] and np.isinf(study.arm.limits[5]).all()
+    assert study.statistics == STATISTICS[:4] and study.chunk == (2, 1, 2) and study.dtype == "float64"
+    assert np.isinf(read(SHORT + "limits = false").arm.limits).all()
+
+
+def test_a_urdf_file_is_looked_for_beside_the_study(read, tmp_path):
+    with pytest.raises((ValueError, OSError), match=str(tmp_path / "mine.urdf")):
+        read('arm = "mine.urdf"\nspacing = 0.5\norientations = 8')
+
+
+@pytest.mark.parametrize(
+    "text, says",
+    [
+        (SHORT + "spacin = 1", "no key 'spacin'; the keys are arm, spacing, orientations, bounds"),
+        ('arm = "ur5"\nspacing = 0.5', "orientations is missing"),
+        ("arm = 5\nspacing = 0.5\norientations = 8", "arm must be a name or a file"),
+        ('arm = "nobody"\nspacing = 0.5\norientations = 8', "no robot 'nobody'"),
+        ('arm = "ur5"\nspacing = true\norientations = 8', "spacing must be a number of metres, got True"),
+        ('arm = "ur5"\nspacing = -1\norientations = 8', "spacing must be a positive number"),
+        ('arm = "ur5"\nspacing = nan\norientations = 8', "spacing must be a positive number"),
+        ('arm = "ur5"\nspacing = 0.5\norientations = 0', "orientations must be a whole number above zero"),
+        ('arm = "ur5"\nspacing = 1\norientations = { even = 8 }', "orientations must be a whole number"),
+        ('arm = "ur5"\nspacing = 1\norientations = { wxyz = 8 }', "orientations.wxyz must be 1 x 4 numbers"),
+        ('arm = "ur5"\nspacing = 1\norientations = { wxyz = [[0, 0, 0, 0]] }', "length 1"),
+        (SHORT + "bounds = [[0, 0], [1, 1]]", "bounds must be 2 x 3 numbers"),
+        (SHORT + "bounds = [[0, 0, 0], [1, -1, 1]]", "lower must not exceed upper"),
+        (SHORT + "limits = [[0, 1]]", "limits must be 6 x 2 numbers"),
+        (SHORT + "limits = [[0, 1], [1]]", "limits must be 6 x 2 numbers"),
+        (SHORT + 'statistics = ["reach"]', "statistics must be a list of reachable, "),
+        (SHORT + "chunk = [0, 1, 1]", "chunk must be three whole numbers above zero"),
+        (SHORT + "chunk = [1.5, 1, 1]", "chunk must be three whole numbers above zero"),
+        (SHORT + 'dtype = "float16"', 'dtype must be "float32" or "float64"'),
+        ("arm = ", "no TOML"),
+        ("x = " + "[" * 20_000, "no TOML"),
+    ],
+)
+def test_what_is_not_understood_is_refused_by_key(read, text, says):
+    with pytest.raises(ValueError, match=r"study\.toml: ") as caught:
+        read(text)
+    assert says in str(caught.value)
+
+
+def test_a_file_that_is_no_text_is_refused(tmp_path):
+    (tmp_path / "study.toml").write_bytes(b"\xff\x00")
+    with pytest.raises(ValueError, match="no TOML"):
+        recipe.read(tmp_path / "study.toml")
