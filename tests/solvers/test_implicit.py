@@ -284,3 +284,27 @@ def test_margins_have_their_own_slope_inside_and_outside(name):
         close = np.abs(slope - rough) < 1e-4 * (1 + np.abs(rough))
         # Not where two steps are equally near to failing: there the least of them has a corner.
         assert close.mean() > 0.97
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["puma560", "ur5", "RRR, wrist"])
+def test_slopes_of_a_million_goals_are_finite_half_of_them_at_edges(name, dtype):
+    arm = build(name)
+    pool = np.array(edges(arm.astype(np.float64), np.float64))
+    count = 10**6
+    picked = pool[np.random.default_rng(0).integers(0, len(pool), count // 2)]
+    goals = np.concatenate([arms.numpy_fk(arm, every.joints(arm, count // 2, seed=5)), picked]).astype(dtype)
+    plain = dataclasses.replace(arm.astype(dtype), limits=jnp.zeros_like(arm.limits, dtype=dtype))
+
+    @jax.jit
+    def slopes(leaves, goals):
+        def total(leaves, goals):
+            sol = ikjax.solve(dataclasses.replace(plain, **leaves), goals)
+            return sol.q.sum() + sol.margin.sum()
+
+        return jax.grad(total, (0, 1))(leaves, goals)
+
+    leaves = {key: getattr(plain, key) for key in LEAVES}
+    for part in np.split(goals, 10):
+        for slope in jax.tree.leaves(slopes(leaves, jnp.asarray(part))):
+            assert np.isfinite(slope).all()

@@ -1,0 +1,67 @@
+"""What gradients cost: `python benchmarks/slopes.py [ARM]`, a summed loss over every branch.
+
+Each row is a plain jit of the user's: the loss, and the loss with its gradient in the goals, in the link
+lengths, in every leaf of the arm; then 1,000 designs with 1,000 goals each, one program.
+"""
+
+import dataclasses
+import sys
+
+import clock
+import jax
+import jax.numpy as jnp
+
+import ikjax
+
+GOALS, DESIGNS, RUNS = 100_000, 1_000, 7
+
+
+def loss(arm, goals):
+    """Smooth in all joints of all slots."""
+    return jnp.sin(ikjax.solve(arm, goals).q).sum()
+
+
+def main(name: str = "puma560") -> None:
+    """Print a table of rates and compile times."""
+    arm = ikjax.robots.get(name).astype("float32")
+    # Infinite limits have no gradient to speak of.
+    arm = dataclasses.replace(arm, limits=jnp.zeros_like(arm.limits))
+    q = jax.random.uniform(jax.random.key(0), (GOALS, arm.n), minval=-3, maxval=3)
+    goals = ikjax.fk(arm, q)
+    few = goals[:DESIGNS]
+    sizes = jax.random.uniform(jax.random.key(1), (DESIGNS, 1), minval=0.9, maxval=1.1) * arm.a
+
+    def designed(a, goals):
+        return loss(dataclasses.replace(arm, a=a), goals)
+
+    rows = {
+        "loss": (lambda g: loss(arm, g), (goals,)),
+        "loss and slopes in the goals": (jax.value_and_grad(lambda g: loss(arm, g)), (goals,)),
+        "loss of a traced arm": (loss, (arm, goals)),
+        "loss and slopes in a": (jax.value_and_grad(designed), (arm.a, goals)),
+        "loss and slopes in every leaf and the goals": (jax.value_and_grad(loss, (0, 1)), (arm, goals)),
+        f"{DESIGNS} designs x {DESIGNS} goals, loss": (
+            lambda a, g: jax.lax.map(lambda one: designed(one, g), a),
+            (sizes, few),
+        ),
+        f"{DESIGNS} designs x {DESIGNS} goals, loss and slopes in a": (
+            lambda a, g: jax.lax.map(lambda one: jax.value_and_grad(designed)(one, g), a),
+            (sizes, few),
+        ),
+    }
+    print(f"{name}, float32, {GOALS:,} goals; medians of {RUNS} runs; jax {jax.__version__}")
+    print("| row | M goals/s | compile [s] | seconds / those of the loss |")
+    print("|---|---|---|---|")
+    first = None
+    for what, (function, arguments) in rows.items():
+        compiled, seconds = clock.once(lambda f=function, x=arguments: jax.jit(f).lower(*x).compile())
+        call = clock.blocking(lambda f=compiled, x=arguments: f(*x))
+        timing = clock.measure(call, RUNS if "designs" not in what else 3)
+        count = GOALS if "designs" not in what else DESIGNS * DESIGNS
+        each = timing.median / count
+        first = first or each
+        print(f"| {what} | {timing.rate(count):.2f} | {seconds:.1f} | {each / first:.1f} |", flush=True)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
