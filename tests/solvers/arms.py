@@ -231,13 +231,19 @@ def typed(arm: ikjax.Arm, dtype) -> ikjax.Arm:
 
 
 def solve_by_hand(arm: ikjax.Arm, goals, q_now=None, dtype=np.float64) -> ikjax.Solutions:
-    """The graph of `solve`, one operation at a time: nothing is compiled, so it is cheap for many arms."""
-    goals = jnp.asarray(np.asarray(goals), dtype)
-    now = np.zeros((*goals.shape[:-2], arm.n)) if q_now is None else q_now
-    now = jnp.asarray(np.asarray(now), dtype)
+    """The graph of `solve`, one operation at a time: nothing is compiled, so it is cheap for many arms.
+
+    Goals are filled up to one of few shapes, because every operation is compiled once a shape.
+    """
+    goals = np.asarray(goals)
+    batch, count = goals.shape[:-2], goals[..., 0, 0].size
+    now = np.zeros((*batch, arm.n)) if q_now is None else np.asarray(q_now)
+    full = np.arange(max(512, 1 << (count - 1).bit_length())) % count
+    goals, now = (jnp.asarray(x.reshape(count, *x.shape[len(batch) :])[full], dtype) for x in (goals, now))
     slots = slots_of(typed(arm, dtype), entries_of(goals), now, None)
     sol = gathered(slots, goals.shape[:-2])
-    return ikjax.Solutions(**{k: np.asarray(v) for k, v in vars(sol).items()})
+    fields = {k: np.asarray(v)[:count] for k, v in vars(sol).items()}
+    return ikjax.Solutions(**{k: v.reshape(*batch, *v.shape[1:]) for k, v in fields.items()})
 
 
 TOLERANCE = {"float32": 2e-5, "float64": 1e-9}

@@ -1,5 +1,7 @@
 """Every family over its whole class: what made the goal is found, and what is found is right."""
 
+import functools
+
 import arms
 import every
 import jax
@@ -55,16 +57,37 @@ def test_the_family_is_recognised(name):
     assert "NO" not in ikjax.explain(arm)
 
 
+PARTS = {"random": slice(0, 384), "right": slice(384, 448), "far": slice(448, 512)}
+
+
+@functools.cache
+def _solved(name, dtype=np.float64):
+    """An arm, the joints, goals and slots of random joints, of right angles, and of goals out of reach."""
+    arm = every.build(name)
+    rng = np.random.default_rng(7)
+    turning = np.array([kind == "R" for kind in arm.kinds])
+    quarter = rng.integers(-1, 3, (64, arm.n)) * np.pi / 2
+    right = np.where(turning, quarter - arms.leaves(arm)["theta"], rng.integers(-1, 2, (64, arm.n)) * 0.2)
+    q = np.concatenate([every.joints(arm, 384), right, every.joints(arm, 64, seed=5)])
+    goals = arms.numpy_fk(arm, q)
+    far = goals[PARTS["far"]]
+    far[:, :3, 3] += 20 * arms.reach(arm) * far[:, :3, 0]
+    if arm.task.startswith("planar"):
+        far[:, :3, 3] = arms.leaves(arm)["base"][:3, 3] + 20 * arms.leaves(arm)["base"][:3, 0]
+    return arm, q, goals, arms.solve_by_hand(arm, goals, dtype=dtype)
+
+
+def _part(part, name, dtype=np.float64):
+    arm, q, goals, sol = _solved(name, dtype)
+    rows = PARTS[part]
+    return arm, q[rows], goals[rows], ikjax.Solutions(**{k: v[rows] for k, v in vars(sol).items()})
+
+
 @pytest.mark.parametrize("dtype", TYPES)
 @pytest.mark.parametrize("name", every.NAMES)
 def test_the_joints_that_made_the_goal_are_found_and_nothing_is_wrong(name, dtype):
-    arm = every.build(name)
-    q = every.joints(arm, 400)
-    goals = arms.numpy_fk(arm, q)
-    sol = arms.solve_by_hand(arm, goals, dtype=dtype)
-    assert sol.q.shape == (400, len(arm.branches), arm.n)
-    for field in ("q", "margin", "position_error", "rotation_error"):
-        assert np.isfinite(getattr(sol, field)).all(), field
+    arm, q, goals, sol = _part("random", name, dtype)
+    assert sol.q.shape == (384, len(arm.branches), arm.n)
     assert not _wrong(arm, sol, goals, dtype).any()
     off = np.abs(sol.q - q[:, None])
     off = np.where([kind == "R" for kind in arm.kinds], np.abs(arms.wrapped(off)), off).max(-1)
@@ -81,17 +104,12 @@ def test_the_joints_that_made_the_goal_are_found_and_nothing_is_wrong(name, dtyp
 
 @pytest.mark.parametrize("dtype", TYPES)
 @pytest.mark.parametrize("name", every.NAMES)
-def test_joints_at_right_angles_leave_everything_finite_and_nothing_wrong(name, dtype):
-    arm = every.build(name)
-    rng = np.random.default_rng(7)
-    turning = np.array([kind == "R" for kind in arm.kinds])
-    quarter = rng.integers(-1, 3, (64, arm.n)) * np.pi / 2
-    q = np.where(turning, quarter - arms.leaves(arm)["theta"], rng.integers(-1, 2, (64, arm.n)) * 0.2)
-    goals = arms.numpy_fk(arm, q)
-    sol = arms.solve_by_hand(arm, goals, dtype=dtype)
-    for field in ("q", "margin", "position_error", "rotation_error"):
-        assert np.isfinite(getattr(sol, field)).all(), field
+def test_everything_is_finite_and_joints_at_right_angles_are_not_answered_wrongly(name, dtype):
+    arm, _, goals, sol = _part("right", name, dtype)
     assert not _wrong(arm, sol, goals, dtype).any()
+    *_, whole = _solved(name, dtype)
+    for field in ("q", "margin", "position_error", "rotation_error"):
+        assert np.isfinite(getattr(whole, field)).all(), field
 
 
 COMPILED = ("RRR, wrist", "2, 3, 4 parallel", "3R")
@@ -212,37 +230,29 @@ def test_whether_the_quartic_rises_is_the_sign_of_the_regional_determinant(name)
     assert clear.sum() > 500 and len(set(signs[clear])) == 1
 
 
-def _answers(name, count=300):
-    """An arm, its solutions in float64, and which goals are regular in every valid slot."""
-    arm = every.build(name)
-    goals = arms.numpy_fk(arm, every.joints(arm, count, seed=5))
-    sol = arms.solve_by_hand(arm, goals)
+def _regular(arm, sol):
+    """Goals that are regular in every valid slot."""
     least = np.where(sol.valid, every.sigma_min(arm, sol.q), np.inf).min(-1)
-    return arm, goals, sol, least > np.median(least) / 2
+    return least > np.median(least) / 2
 
 
 @pytest.mark.parametrize("name", every.NAMES)
 def test_no_answer_is_given_twice(name):
-    arm, _, sol, regular = _answers(name)
+    arm, _, _, sol = _part("random", name)
     turning = [kind == "R" for kind in arm.kinds]
     off = sol.q[:, :, None] - sol.q[:, None]
     off = np.where(turning, np.abs(arms.wrapped(off)), np.abs(off)).max(-1)
     both = sol.valid[:, :, None] & sol.valid[:, None] & ~np.eye(len(arm.branches), dtype=bool)
-    assert np.where(both, off, np.inf)[regular].min(initial=np.inf) > 1e-5
+    assert np.where(both, off, np.inf)[_regular(arm, sol)].min(initial=np.inf) > 1e-5
 
 
 @pytest.mark.parametrize("name", every.NAMES)
 def test_margin_is_positive_where_a_slot_is_valid_and_negative_out_of_reach(name):
-    arm, goals, sol, regular = _answers(name)
-    assert (sol.margin[sol.valid & regular[:, None]] > 0).all()
-    if "P" in arm.kinds:
-        return  # a slide reaches anywhere along itself
-    goals[:, :3, 3] += 20 * arms.reach(arm) * goals[:, :3, 0]
-    if arm.task.startswith("planar"):
-        goals[:, :3, 3] = arms.leaves(arm)["base"][:3, 3] + 20 * arms.leaves(arm)["base"][:3, 0]
-    far = arms.solve_by_hand(arm, goals)
-    assert not far.valid.any() and np.isfinite(far.margin).all()
-    assert (far.margin.max(-1) < 0).all()
+    arm, _, _, sol = _part("random", name)
+    assert (sol.margin[sol.valid & _regular(arm, sol)[:, None]] > 0).all()
+    *_, far = _part("far", name)
+    if "P" not in arm.kinds:  # a slide reaches anywhere along itself
+        assert not far.valid.any() and (far.margin.max(-1) < 0).all()
 
 
 @pytest.mark.parametrize("name", ["RRR meet, wrist", "RRP meet, point", "RRR square, point"])
@@ -266,7 +276,7 @@ def test_joint_1_follows_q_now_where_it_is_arbitrary(name):
     "name", ["2R", "2R, second reversed", "3R", "3R, second reversed", "SCARA RRPR", "turret"]
 )
 def test_left_and_right_are_sides_of_the_line_from_first_joint_to_last(name):
-    arm, _, sol, _ = _answers(name, 50)
+    arm, _, _, sol = _part("random", name)
     turning = [i for i, kind in enumerate(arm.kinds) if kind == "R"]
     turning = turning[1:] if arm.family == "turret" else turning
     frames = arms.numpy_fk(arm, sol.q, frames=True)
