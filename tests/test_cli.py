@@ -27,12 +27,28 @@ def run(capsys):
     return call
 
 
+STUDY = """
+arm = "gx4_351s"
+spacing = {spacing}
+orientations = {{ wxyz = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0.8, 0.6, 0]] }}
+chunk = [16, 16, 16]
+"""
+
+
 @pytest.fixture
-def swept(run, tmp_path):
+def study(tmp_path):
     pytest.importorskip("tensorstore")
-    code, out, err = run(
-        "sweep", "ur5", "--spacing", 0.3, "--orientations", 8, "--out", tmp_path / "a.zarr", "--json"
-    )
+
+    def written(spacing):
+        (tmp_path / "study.toml").write_text(STUDY.format(spacing=spacing))
+        return tmp_path / "study.toml"
+
+    return written
+
+
+@pytest.fixture
+def swept(run, study, tmp_path):
+    code, out, err = run("sweep", study(0.1), "--out", tmp_path / "a.zarr", "--json")
     assert code == 0, err
     return tmp_path / "a.zarr", json.loads(out)
 
@@ -149,7 +165,7 @@ def test_a_stored_map_shows_what_the_sweep_said(run, swept):
     code, out, _ = run("show", path, "--json")
     assert said.pop("units") == {"total": 1, "kept": 0, "missing": 1, "damaged": 0}
     assert code == 0 and json.loads(out) == said
-    assert run("show", path)[1].startswith("ur5: ")
+    assert run("show", path)[1].startswith("gx4_351s: ")
 
 
 def test_a_damaged_map_is_refused(run, swept):
@@ -235,25 +251,6 @@ def test_verify_finds_a_wrong_answer(monkeypatch):
     monkeypatch.setattr(verify, "solve", lying)
     report = verify.verify(ikjax.robots.planar_3r(), 200)
     assert report.wrong > 200 and report.success == 0
-
-
-STUDY = """
-arm = "gx4_351s"
-spacing = {spacing}
-orientations = {{ wxyz = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0.8, 0.6, 0]] }}
-chunk = [16, 16, 16]
-"""
-
-
-@pytest.fixture
-def study(tmp_path):
-    pytest.importorskip("tensorstore")
-
-    def written(spacing):
-        (tmp_path / "study.toml").write_text(STUDY.format(spacing=spacing))
-        return tmp_path / "study.toml"
-
-    return written
 
 
 def test_a_study_is_swept_gone_on_with_and_compared(run, study, tmp_path):

@@ -40,15 +40,16 @@ def test_a_sweep_counts_what_solve_answers(name):
 
 def test_limits_of_every_width_are_told_by_sines_and_cosines(rng):
     arm = ikjax.robots.puma560()
-    for width in (0.5, 3.0, 4.0, 6.2, 7.0):
+    for widths in ([7.0, 4.0, 7.0, 6.2, 7.0, 0.5], [3.0, 7.0, 4.0, 7.0, 3.0, 7.0]):
         lower = rng.uniform(-4, 4, 6)
-        tight = dataclasses.replace(arm, limits=np.stack([lower, lower + width], -1))
+        tight = dataclasses.replace(arm, limits=np.stack([lower, lower + widths], -1))
         reach = ikjax.sweep(tight, ikjax.grid((0.3, 0, 0), (0.6, 0.3, 0.3), 0.1), 40, dtype="float64")
         goals = np.zeros((*reach.grid.shape, 40, 4, 4))
         goals[..., :3, :3], goals[..., 3, 3] = reach.rotations, 1
         goals[..., :3, 3] = reach.grid.points()[..., None, :]
         inside = ikjax.within_limits(tight, ikjax.solve(tight, goals))
         assert (reach.solutions_within == np.asarray(inside.valid).sum((-1, -2))).all()
+        assert 0 < reach.solutions_within.sum() < reach.solutions.sum() / 2
 
 
 def test_a_map_comes_back_from_disk_as_it_went(reach, tmp_path):
