@@ -1,6 +1,7 @@
 """Five joints: how many answers there are, goals out of reach, and the ladders to each singularity."""
 
 import dataclasses
+import functools
 import itertools
 
 import arms
@@ -131,12 +132,18 @@ def on_the_ladder(arm, along, on_axis, elbow, seed):
 SINGULAR = tuple(itertools.product((False, True), (False, True), (None, 0.0, np.pi)))
 
 
+@functools.cache
+def ladders(name):
+    """Goals of all ladders to the singularities of an arm."""
+    arm = every.build(name)
+    q = np.concatenate([on_the_ladder(arm, *how, seed) for seed, how in enumerate(SINGULAR)])
+    return arms.numpy_fk(arm, q)
+
+
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 @pytest.mark.parametrize("name", NAMES)
 def test_every_goal_on_the_ladders_to_the_singularities_is_answered(name, dtype):
-    arm = every.build(name)
-    q = np.concatenate([on_the_ladder(arm, *how, seed) for seed, how in enumerate(SINGULAR)])
-    goals = arms.numpy_fk(arm, q)
+    arm, goals = every.build(name), ladders(name)
     sol = arms.solve_by_hand(arm, goals, dtype=dtype)
     for field in ("q", "margin", "position_error", "rotation_error"):
         assert np.isfinite(getattr(sol, field)).all(), field
@@ -200,8 +207,7 @@ def test_a_bad_goal_leaves_its_neighbours_as_they_are():
 @pytest.mark.parametrize("name", NAMES)
 def test_slopes_are_finite_at_each_singularity(name):
     arm = every.build(name)
-    q = np.concatenate([on_the_ladder(arm, *how, 0)[:8] for how in SINGULAR])
-    goals = jnp.asarray(arms.numpy_fk(arm, q))
+    goals = jnp.asarray(ladders(name)[::25])
 
     def total(goals):
         slots = slots_of(arm, entries_of(goals), None, None)

@@ -166,7 +166,7 @@ OTHERS = ("planar_2r", "planar_3r", "planar_rpr", "planar_prr", "gx4_351s", "sta
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 @pytest.mark.parametrize("name", OTHERS)
-def test_the_catalogue_recovers_its_joints_and_has_finite_slopes(name, dtype):
+def test_the_catalogue_recovers_its_joints(name, dtype):
     arm = ikjax.robots.get(name)
     low, high = np.asarray(arm.limits).T
     turning = np.array([kind == "R" for kind in arm.kinds])
@@ -179,7 +179,11 @@ def test_the_catalogue_recovers_its_joints_and_has_finite_slopes(name, dtype):
     off = np.where(turning, np.abs(arms.wrapped(off)), off).max(-1)
     near = np.where(sol.valid, off, np.inf).min(-1)
     assert np.quantile(near, 0.97) < (1e-8 if dtype == np.float64 else 5e-3)
-    plain = arm.astype(dtype)
-    total = jax.jit(jax.grad(lambda T: ikjax.solve(plain, T).margin.sum()))
-    slope = total(jnp.asarray(goals[:5], dtype))
-    assert np.isfinite(slope).all()
+
+
+@pytest.mark.parametrize("name", ["planar_prr", "stanford"])
+def test_margins_of_the_catalogue_have_finite_slopes(name):
+    arm = ikjax.robots.get(name).astype(np.float64)
+    goals = arms.numpy_fk(arm, np.random.default_rng(2).uniform(-2, 2, (5, arm.n)))
+    slope = jax.jit(jax.grad(lambda T: ikjax.solve(arm, T).margin.sum()))(jnp.asarray(goals))
+    assert np.isfinite(slope).all() and slope.any()
