@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from ikjax.core import safe, vector
+from ikjax.core import safe
 from ikjax.core.trig import Angle, Scalar, choose, half_turn
 from ikjax.core.vector import Vector
 from ikjax.solvers.branch import Setting
@@ -78,25 +78,24 @@ def general_wrist(
     cosine = jnp.clip(along / (s4 * s5), -1, 1)
     margin = abs(s4 * s5) - jnp.abs(along)
     height = side * setting.root((1 - cosine) * (1 + cosine))
+    u, v = s5 * height, -(c4 * s5 * cosine + s4 * c5)
+    rho_squared = (n[0] * n[0] + n[1] * n[1]) * (u * u + v * v)
+    free = rho_squared <= tiny**4
+    weight = safe.reciprocal_sqrt(rho_squared)
+    u, v = u * weight, v * weight
     answers = []
     for flip in (1, -1):
         sine = flip * height
-        u, v = s5 * sine, -(c4 * s5 * cosine + s4 * c5)
-        rho_squared = (n[0] * n[0] + n[1] * n[1]) * (u * u + v * v)
-        free = rho_squared <= tiny**4
-        weight = safe.reciprocal_sqrt(rho_squared)
         first = angle(
-            jnp.where(free, now.sin, (n[1] * u - n[0] * v) * weight),
-            jnp.where(free, now.cos, (n[0] * u + n[1] * v) * weight),
+            jnp.where(free, now.sin, flip * (n[1] * u) - n[0] * v),
+            jnp.where(free, now.cos, flip * (n[0] * u) + n[1] * v),
         )
-        # Columns of Rz(t4) Rx(alpha4) Rz(t5) Rx(alpha5): x turns in the plane of the first two.
-        a = (cosine, c4 * sine, s4 * sine)
-        b = (-c5 * sine, c4 * c5 * cosine - s4 * s5, s4 * c5 * cosine + c4 * s5)
-        ahead, aside = (_turned(first, w) for w in (a, b))
-        x_aside, x_ahead = vector.dot(aside, x), vector.dot(ahead, x)
-        # Of length one, except where t5 is clamped.
-        size = safe.reciprocal_sqrt(x_aside * x_aside + x_ahead * x_ahead)
-        last = angle(x_aside * size, jnp.where(size == 0, 1, x_ahead * size))
+        # x seen from the frame before joint 5, then before joint 6. There it has length one in the plane,
+        # except where t5 is clamped; where that lets it be valid, to rounding.
+        ahead, aside = first.cos * x[0] + first.sin * x[1], first.cos * x[1] - first.sin * x[0]
+        aside, up = c4 * aside + s4 * x[2], c4 * x[2] - s4 * aside
+        ahead, aside = cosine * ahead + sine * aside, cosine * aside - sine * ahead
+        last = angle(c5 * aside + s5 * up, ahead)
         answers.append(Wrist((first, angle(sine, cosine), last), margin, free))
     return answers[0], answers[1]
 
@@ -106,11 +105,3 @@ def shortfall(n: Vector, twists: tuple[Scalar, Scalar, Scalar, Scalar]) -> Scala
     s4, c4, s5, c5 = twists
     along = c4 * c5 - n[2]
     return along - jnp.clip(along, -abs(s4 * s5), abs(s4 * s5))
-
-
-def _turned(about_z: Angle, v: Vector) -> Vector:
-    return (
-        about_z.cos * v[0] - about_z.sin * v[1],
-        about_z.sin * v[0] + about_z.cos * v[1],
-        v[2],
-    )

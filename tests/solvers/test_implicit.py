@@ -138,8 +138,8 @@ def test_joints_follow_the_goal_and_every_free_leaf(name):
 
 
 def test_joints_of_a_known_arm_follow_the_goal():
-    arm, goals, _, ok = case("puma560")
-    twist = jnp.asarray(np.random.default_rng(2).normal(size=6))
+    arm, goals, _, ok = case("SCARA RRPR")
+    twist = jnp.asarray(in_plane(arm, np.random.default_rng(2).normal(size=6)))
     follow = jax.jit(
         lambda t: jax.jvp(lambda t: ikjax.solve(arm, moved(goals, t * twist)).q, (t,), (jnp.ones_like(t),))
     )
