@@ -16,8 +16,8 @@ from ikjax.core.pose import Pose
 from ikjax.ik.blocks import wide_vectors
 from ikjax.solvers.family import TOLERANCE, solve_scalars
 
-BLOCK = 8192
-"""Goals in a block of the kernel row."""
+BLOCK = 4096
+"""Goals in a block of the kernel row, as in `ikjax.solve`."""
 
 CORES = os.cpu_count() or 1
 THREADS = ThreadPoolExecutor(CORES)
