@@ -1,11 +1,14 @@
 """What gradients cost: `python benchmarks/slopes.py [ARM]`, a summed loss over every branch.
 
 Each row is a plain jit of the user's: the loss, and the loss with its gradient in the goals, in the link
-lengths, in every leaf of the arm; then 1,000 designs with 1,000 goals each, one program.
+lengths, in every leaf of the arm; the same scanned in blocks that fit the cache, a thread for each core; then
+1,000 designs with 1,000 goals each, one program.
 """
 
 import dataclasses
+import os
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import clock
 import jax
@@ -14,11 +17,28 @@ import jax.numpy as jnp
 import ikjax
 
 GOALS, DESIGNS, RUNS = 100_000, 1_000, 7
+BLOCK, CORES = 2_000, os.cpu_count() or 1
+THREADS = ThreadPoolExecutor(CORES)
 
 
 def loss(arm, goals):
     """Smooth in all joints of all slots."""
     return jnp.sin(ikjax.solve(arm, goals).q).sum()
+
+
+def scanned(slopes):
+    """Value and slopes in the first argument, summed over blocks of goals; slopes in the goals beside it."""
+
+    def summed(first, goals):
+        def add(total, block):
+            value, found = slopes(first, block)
+            ours, theirs = found if isinstance(found, tuple) else (found, ())
+            return jax.tree.map(jnp.add, total, (value, ours)), theirs
+
+        zero = jax.tree.map(jnp.zeros_like, (goals[0, 0, 0], first))
+        return jax.lax.scan(add, zero, goals.reshape(-1, BLOCK, 4, 4))
+
+    return summed
 
 
 def main(name: str = "puma560") -> None:
@@ -40,6 +60,11 @@ def main(name: str = "puma560") -> None:
         "loss of a traced arm": (loss, (arm, goals)),
         "loss and slopes in a": (jax.value_and_grad(designed), (arm.a, goals)),
         "loss and slopes in every leaf and the goals": (jax.value_and_grad(loss, (0, 1)), (arm, goals)),
+        "slopes in a, scanned": (scanned(jax.value_and_grad(designed)), (arm.a, goals)),
+        "slopes in every leaf and the goals, scanned": (
+            scanned(jax.value_and_grad(loss, (0, 1))),
+            (arm, goals),
+        ),
         f"{DESIGNS} designs x {DESIGNS} goals, loss": (
             lambda a, g: jax.lax.map(lambda one: designed(one, g), a),
             (sizes, few),
@@ -54,8 +79,11 @@ def main(name: str = "puma560") -> None:
     print("|---|---|---|---|")
     first = None
     for what, (function, arguments) in rows.items():
-        compiled, seconds = clock.once(lambda f=function, x=arguments: jax.jit(f).lower(*x).compile())
-        call = clock.blocking(lambda f=compiled, x=arguments: f(*x))
+        parts = [arguments]
+        if "scanned" in what:
+            parts = [(arguments[0], part) for part in jnp.split(goals, CORES)]
+        compiled, seconds = clock.once(lambda f=function, x=parts[0]: jax.jit(f).lower(*x).compile())
+        call = clock.blocking(lambda f=compiled, x=parts: [*THREADS.map(f, *zip(*x, strict=True))])
         timing = clock.measure(call, RUNS if "designs" not in what else 3)
         count = GOALS if "designs" not in what else DESIGNS * DESIGNS
         each = timing.median / count
