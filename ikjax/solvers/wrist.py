@@ -90,12 +90,14 @@ def general_wrist(
             jnp.where(free, now.sin, flip * (n[1] * u) - n[0] * v),
             jnp.where(free, now.cos, flip * (n[0] * u) + n[1] * v),
         )
-        # x seen from the frame before joint 5, then before joint 6. There it has length one in the plane,
-        # except where t5 is clamped; where that lets it be valid, to rounding.
+        # x seen from the frame before joint 5, then before joint 6.
         ahead, aside = first.cos * x[0] + first.sin * x[1], first.cos * x[1] - first.sin * x[0]
         aside, up = c4 * aside + s4 * x[2], c4 * x[2] - s4 * aside
         ahead, aside = cosine * ahead + sine * aside, cosine * aside - sine * ahead
-        last = angle(c5 * aside + s5 * up, ahead)
+        aside = c5 * aside + s5 * up
+        # Of length one in that plane, except where t5 is clamped.
+        size = safe.reciprocal_sqrt(ahead * ahead + aside * aside)
+        last = angle(aside * size, jnp.where(size == 0, 1, ahead * size))
         answers.append(Wrist((first, angle(sine, cosine), last), margin, free))
     return answers[0], answers[1]
 
