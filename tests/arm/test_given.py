@@ -133,7 +133,7 @@ def test_a_calibrated_arm_has_its_family_when_asked():
     np.testing.assert_allclose(ikjax.fk(arm, np.zeros(6))[:3, 3], [-1.183647, -0.290326, 0.058973], atol=1e-6)
 
 
-@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize("dtype", [np.float64, pytest.param(np.float32, marks=pytest.mark.long)])
 def test_a_calibrated_arm_is_solved_as_it_is(dtype):
     arm = calibrated(1e-2)
     q, goals, sol = _solved(arm, 500, dtype=dtype)

@@ -89,8 +89,20 @@ def test_float32_agrees_with_float64(case):
     assert (off[regular] < 20 * 64 * np.finfo(np.float32).eps / least[regular]).all()
 
 
-@pytest.mark.parametrize("name", ["puma560", "ur5", "skew_everything", "parallel_both_reversed"])
-@pytest.mark.parametrize("dtype", TYPES)
+LONG = pytest.mark.long
+
+
+@pytest.mark.parametrize(
+    ("name", "dtype"),
+    [
+        *itertools.product(("puma560", "ur5"), TYPES),
+        # Each is a program of its own: by default in one type.
+        ("skew_everything", np.float32),
+        ("parallel_both_reversed", np.float64),
+        pytest.param("skew_everything", np.float64, marks=LONG),
+        pytest.param("parallel_both_reversed", np.float32, marks=LONG),
+    ],
+)
 def test_the_front_door_agrees_with_the_plain_graph(name, dtype):
     arm = arms.build(name)
     goals = arms.numpy_fk(arm, arms.joints(name, 200))
