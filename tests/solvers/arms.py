@@ -217,11 +217,9 @@ def wrapped(angle: np.ndarray) -> np.ndarray:
     return (np.asarray(angle, float) + np.pi) % (2 * np.pi) - np.pi
 
 
-def solve(arm: ikjax.Arm, goals, q_now=None, dtype=np.float64) -> ikjax.Solutions:
-    """`ikjax.solve`, always with q_now, so that an arm is compiled once a type; fields in numpy."""
-    goals = jnp.asarray(np.asarray(goals), dtype)
-    now = np.zeros((*goals.shape[:-2], 6)) if q_now is None else q_now
-    sol = ikjax.solve(arm, goals, jnp.asarray(np.asarray(now), dtype))
+def solve(arm: ikjax.Arm, goals, dtype=np.float64) -> ikjax.Solutions:
+    """`ikjax.solve`, fields in numpy."""
+    sol = ikjax.solve(arm, jnp.asarray(np.asarray(goals), dtype))
     return ikjax.Solutions(**{k: np.asarray(v) for k, v in vars(sol).items()})
 
 
