@@ -9,8 +9,11 @@ from ikjax.ik.check import check_goals, explain
 from ikjax.ik.select import nearest, within_limits
 from ikjax.ik.solutions import Solutions
 from ikjax.ik.solve import solve
-from ikjax.study.goals import Grid, around, even_rotations, grid
+from ikjax.study.goals import Grid, Shell, around, grid, shell
+from ikjax.study.hopf import Hopf, hopf
+from ikjax.study.orientations import Cone, cone, even_rotations
 from ikjax.study.reach import ReachMap
+from ikjax.study.surface import Surface, surface
 from ikjax.study.sweep import sweep
 from ikjax.study.verify import verify
 

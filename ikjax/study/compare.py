@@ -24,8 +24,9 @@ FIGURES = (
 def compare(then: ReachMap, now: ReachMap) -> dict[str, Any]:
     """The figures of both by name, as [then, now]; on one grid also `positions_that_differ`."""
     before, after = then.numbers(), now.numbers()
-    figures: dict[str, Any] = {name: [before[name], after[name]] for name, _ in FIGURES}
-    if then.grid == now.grid and then.orientations == now.orientations:
+    shared = [name for name, _ in FIGURES if name in before and name in after]
+    figures: dict[str, Any] = {name: [before[name], after[name]] for name in shared}
+    if then.grid == now.grid and then.orientations == now.orientations and "reach" in shared:
         differ = then.reachable_within != now.reachable_within
         figures["positions_that_differ"] = int(differ.sum())
     return figures
@@ -35,6 +36,8 @@ def in_words(figures: dict[str, Any], then: str) -> str:
     """What `compare` found, a line a figure."""
     lines = [f"compared with {then}"]
     for name, form in FIGURES:
+        if name not in figures:
+            continue
         before, after = figures[name]
         share = f" ({after / before - 1:+.1%})" if before and before != after else ""
         lines.append(f"  {name.replace('_', ' '):26} {form.format(before)} -> {form.format(after)}{share}")

@@ -1,18 +1,21 @@
-"""Where a sweep looks: grids of positions and even sets of orientations.
+"""Where a sweep looks: box grids and spherical shells of positions.
 
-Storey: study. A goal is a function of two integers, its position's and its orientation's.
+Storey: study. A set of positions has a shape, and a position is a function of its whole-number place in
+it; `at` is written once for numpy and for jax (`xp`), so that the kernel makes in its jit what a map says on
+the host.
 """
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 
 from ikjax.arm.arm import Arm
+from ikjax.core.vector import Vector
 from ikjax.solvers.family import reach
-
-PSI = 1.533751168755204288118041
-"""The real root of psi^4 = psi + 4."""
+from ikjax.study.orientations import golden
+from ikjax.study.phase import tilt
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,6 +45,27 @@ class Grid:
         """The positions of a box of the grid [m]: the same numbers as in `points()[box]`."""
         axes = [self.axis(k)[side] for k, side in enumerate(box)]
         return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+
+    axes = ("x", "y", "z")
+
+    def named(self) -> dict[str, tuple[np.ndarray, tuple[str, ...]]]:
+        """What a map says of its axes: arrays and the names of their dimensions."""
+        return {name: (self.axis(k), (name,)) for k, name in enumerate(self.axes)}
+
+    def tables(self, dtype) -> tuple[Any, ...]:
+        """Arrays that `at` looks up, of the kernel's type."""
+        return tuple(self.axis(k).astype(dtype) for k in range(3))
+
+    def at(self, tables: tuple[Any, ...], index: tuple[Any, ...], xp, dtype) -> Vector:
+        """The positions of whole numbers along each axis."""
+        return tuple(table[i] for table, i in zip(tables, index, strict=True))
+
+    def volume(self, chosen: np.ndarray) -> float:
+        """What positions stand for [m^3]: a cell each."""
+        return float(chosen.sum() * self.spacing**3)
+
+    def in_words(self) -> str:
+        return f"{self.count:,} positions ({self.spacing * 1000:g} mm apart)"
 
 
 def grid(lower, upper, spacing: float) -> Grid:
@@ -85,24 +109,82 @@ def around(arm: Arm, spacing: float) -> Grid:
     return grid(centre - radius, centre + radius, spacing)
 
 
-def even_rotations(n: int) -> np.ndarray:
-    """n rotations spread evenly over all rotations, the same ones every time: (n, 3, 3).
+@dataclasses.dataclass(frozen=True)
+class Shell:
+    """Positions on concentric spheres, the same directions on each: radius slow, direction fast."""
 
-    Source: Alexa, Super-Fibonacci spirals: fast, low-discrepancy sampling of SO(3), CVPR 2022,
-    algorithm 1.
+    centre: tuple[float, float, float]
+    """[m]"""
+    radii: tuple[float, ...]
+    """[m], ascending."""
+    directions: int
+    """Spread evenly over the sphere, on a spherical Fibonacci spiral."""
+
+    axes = ("radius", "direction")
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of every statistic."""
+        return (len(self.radii), self.directions)
+
+    @property
+    def count(self) -> int:
+        """Number of positions."""
+        return math.prod(self.shape)
+
+    def points(self) -> np.ndarray:
+        """All positions [m], (*shape, 3)."""
+        dtype = np.dtype(float)
+        index = tuple(np.indices(self.shape, np.int32))
+        return np.stack(self.at(self.tables(dtype), index, np, dtype), axis=-1)
+
+    def named(self) -> dict[str, tuple[np.ndarray, tuple[str, ...]]]:
+        """What a map says of its axes: arrays and the names of their dimensions."""
+        unit = dataclasses.replace(self, centre=(0.0, 0.0, 0.0), radii=(1.0,)).points()[0]
+        return {"radius": (np.array(self.radii), ("radius",)), "direction": (unit, ("direction", "xyz"))}
+
+    def tables(self, dtype) -> tuple[Any, ...]:
+        """Arrays that `at` looks up, of the kernel's type."""
+        return (np.array(self.radii, dtype),)
+
+    def at(self, tables: tuple[Any, ...], index: tuple[Any, ...], xp, dtype) -> Vector:
+        """The positions of whole numbers along each axis."""
+        layer, place = index
+        share = (place.astype(dtype) + dtype.type(0.5)) / dtype.type(self.directions)
+        unit = (row[2] for row in tilt(share, golden(place, xp, dtype), xp))
+        return tuple(dtype.type(c) + tables[0][layer] * u for c, u in zip(self.centre, unit, strict=True))
+
+    def volume(self, chosen: np.ndarray) -> float:
+        """What positions stand for [m^3]: the layers meet half way, the outer ones end at their radius."""
+        radii = np.array(self.radii)
+        middle = (radii[1:] + radii[:-1]) / 2
+        between = np.concatenate([radii[:1], middle, radii[-1:]])
+        layers = 4 / 3 * math.pi * np.diff(between**3) / self.directions
+        return float((chosen.sum(1) * layers).sum())
+
+    def in_words(self) -> str:
+        return f"{self.count:,} positions ({len(self.radii)} spheres of {self.directions:,})"
+
+
+def shell(centre, radii, directions: int) -> Shell:
+    """Positions on spheres about a centre.
+
+    Args:
+        centre: (3,) [m].
+        radii: One radius or several [m], positive and ascending.
+        directions: On each sphere.
 
     Raises:
-        ValueError: n below 1.
+        ValueError: A wrong shape, radii that do not ascend, no directions.
     """
-    if n < 1:
-        raise ValueError(f"n must be at least 1, got {n}")
-    s = np.arange(n) + 0.5
-    near, far = np.sqrt(s / n), np.sqrt(1 - s / n)
-    a, b = 2 * np.pi * s / np.sqrt(2), 2 * np.pi * s / PSI
-    x, y, z, w = near * np.sin(a), near * np.cos(a), far * np.sin(b), far * np.cos(b)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), -1, 0)
+    middle, layers = np.asarray(centre, float), np.atleast_1d(np.asarray(radii, float))
+    if middle.shape != (3,) or not np.isfinite(middle).all():
+        raise ValueError(f"centre must be a point (3,), got {centre}")
+    if layers.ndim != 1 or len(layers) == 0 or not (np.isfinite(layers).all() and layers[0] > 0):
+        raise ValueError(f"radii must be positive numbers of metres, got {radii}")
+    if (np.diff(layers) <= 0).any():
+        raise ValueError(f"radii must ascend, got {radii}")
+    if isinstance(directions, bool) or not isinstance(directions, int | np.integer) or directions < 1:
+        raise ValueError(f"directions must be at least 1, got {directions}")
+    x, y, z = (float(c) for c in middle)
+    return Shell((x, y, z), tuple(map(float, layers)), int(directions))

@@ -1,105 +1,332 @@
-"""The loop of a sweep: positions with every orientation, counted inside one fused loop.
+"""The loop of a sweep: positions with every orientation, reduced inside one fused loop.
 
-Storey: study. Nothing but statistics leaves it. The four counts of 32 goals travel as bit fields of one
-32-bit sum, because a loop with one result is fused and a loop with four is computed four times.
+Storey: study. Whole numbers go in, which say what positions and orientations, and nothing but totals
+comes out. Counts of 32 goals travel as bit fields of one 32-bit sum, because a loop with one result is
+fused and a loop with four is computed four times; whatever does not fit that word has a loop of its own.
 """
 
+import dataclasses
 import functools
+import time
 from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ikjax.arm.arm import Arm
+from ikjax.core import vector
 from ikjax.core.pose import Pose
 from ikjax.ik.blocks import wide_vectors
 from ikjax.ik.graph import holder, is_small
-from ikjax.solvers.family import Slot, solve_scalars
+from ikjax.solvers.family import solve_scalars
 from ikjax.study import spec
-from ikjax.study.limits import within
+from ikjax.study.orientations import Orientations
+from ikjax.study.statistics import GROUP, Goal, Lane, Plan
+from ikjax.study.surface import Surface
 
 POSITIONS, ORIENTATIONS = 64, 512
 """Goals in a tile: so many positions with so many orientations each."""
 
-GROUP = 32
-"""Goals whose counts share one 32-bit sum: fields of 6, 9, 6 and 9 bits."""
+FEW = 8
+"""Positions of a tile whose values are held, so that they fit the cache."""
 
-TILES = 64
-"""Blocks of positions in one call; between calls there is progress to show."""
+BLOCKS, TILES = 64, 64
+"""At most so many blocks of positions, with so many tiles of orientations each, in one call; between calls
+there is progress to show."""
 
-CALL = POSITIONS * TILES
-"""Positions in one call."""
+CALL = POSITIONS * BLOCKS
+"""At most so many positions in one call."""
+
+WORD = 31
+"""Bits of a word of counts."""
 
 _KEPT = 8
 _compiled: dict[str, Callable] = {}
 
 
-def statistics_of(arm: Arm, rotations: np.ndarray, dtype: np.dtype, margin: bool) -> Callable:
-    """The compiled loop: positions (CALL, 3) -> counts (CALL, 4) and, if asked for, margins (CALL,).
+class Word(NamedTuple):
+    """Lanes that share one loop."""
 
-    It is kept for the next sweep of the same arm and orientations.
-    """
+    names: tuple[str, ...]
+    lanes: tuple[Lane, ...]
+    widths: tuple[int, ...]
+    """Of counts: the bits of each."""
+
+    @property
+    def reduce(self) -> str:
+        return self.lanes[0].reduce
+
+    @property
+    def held(self) -> bool:
+        return self.lanes[0].held
+
+
+def words_of(lanes: dict[str, Lane], rolls: int) -> list[Word]:
+    """The loops that lanes need."""
+    words: list[Word] = []
+    open_word: Word | None = None
+    for name, lane in lanes.items():
+        if lane.reduce != "count":
+            words.append(Word((name,), (lane,), ()))
+            continue
+        most = lane.most if lane.any_roll else lane.most * rolls
+        width = (GROUP * most).bit_length()
+        if open_word is not None and sum(open_word.widths) + width <= WORD:
+            merged = Word((*open_word.names, name), (*open_word.lanes, lane), (*open_word.widths, width))
+            words[words.index(open_word)] = open_word = merged
+        else:
+            words.append(open_word := Word((name,), (lane,), (width,)))
+    return words
+
+
+@dataclasses.dataclass
+class Kernel:
+    """A compiled loop and how much of it to do in one call."""
+
+    compiled: Callable
+    tables: tuple[Any, ...]
+    words: list[Word]
+    orientations: int
+    width: int
+    """Orientations in a tile."""
+    axes: int
+    """Whole numbers that say where a position is."""
+    blocks: int = BLOCKS
+    tiles: int = TILES
+
+    @property
+    def positions(self) -> int:
+        """In one call."""
+        return POSITIONS * self.blocks
+
+    def firsts(self) -> range:
+        """The first orientation of each call for the same positions."""
+        return range(0, self.orientations, self.tiles * self.width)
+
+    def begin(self, index: np.ndarray, first: int) -> tuple[jax.Array, ...]:
+        """One call: what is under way.
+
+        Args:
+            index: (n, axes) places of at most `positions` positions.
+            first: From `firsts`.
+        """
+        full = np.zeros((CALL, self.axes), np.int32)
+        full[: len(index)] = index
+        blocks = np.int32(-(-len(index) // POSITIONS))
+        left = -(-(self.orientations - first) // self.width)
+        tiles = np.int32(min(self.tiles, left))
+        return self.compiled(self.tables, full, np.int32(first), blocks, tiles)
+
+    def fetched(self, result: tuple[jax.Array, ...], count: int, first: int) -> dict[str, np.ndarray]:
+        """Totals of each lane, (count, k), of a call that is done."""
+        totals: dict[str, np.ndarray] = {}
+        for word, array in zip(self.words, jax.device_get(result), strict=True):
+            rows = np.asarray(array)[:count]
+            if word.reduce == "count":
+                totals |= {name: rows[:, k : k + 1].astype(np.int64) for k, name in enumerate(word.names)}
+            elif word.reduce == "sum":
+                high, low = rows[:, :1].astype(np.int64), rows[:, 1:].astype(np.int64)
+                totals[word.names[0]] = (high << 16) + low
+            elif word.reduce == "bits":
+                left = min(self.orientations - first, self.tiles * self.width)
+                totals[word.names[0]] = rows[:, : -(-left // GROUP)]
+            else:
+                totals[word.names[0]] = rows
+        return totals
+
+    def together(self, one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Totals of two calls for the same positions, the earlier orientations first."""
+        joined = {}
+        for word in self.words:
+            for name in word.names:
+                joined[name] = _JOIN[word.reduce](one[name], other[name])
+        return joined
+
+    def suit(self, seconds: float) -> float:
+        """Measure the loop and let a call take about so long; goals a second."""
+        times = []
+        for _ in range(2):
+            started = time.perf_counter()
+            jax.block_until_ready(
+                self.compiled(self.tables, np.zeros((CALL, self.axes), np.int32), *map(np.int32, (0, 1, 1)))
+            )
+            times.append(time.perf_counter() - started)
+        one, tiles = min(times), -(-self.orientations // self.width)
+        self.tiles = int(np.clip(seconds / one, 1, TILES))
+        self.blocks = int(np.clip(seconds / one / min(self.tiles, tiles), 1, BLOCKS))
+        return POSITIONS * min(self.width, self.orientations) / one
+
+
+_JOIN: dict[str, Callable] = {
+    "count": np.add,
+    "sum": np.add,
+    "max": np.maximum,
+    "min": np.minimum,
+    "bits": lambda a, b: np.concatenate([a, b], axis=1),
+}
+
+
+def kernel_of(arm: Arm, positions, orientations: Orientations, rolls: int, dtype: np.dtype, plan: Plan):
+    """The compiled loop; it is kept for the next sweep of the same arm, sets and statistics."""
+    arm = arm.astype(dtype).baked()
+    place, turn = positions.tables(dtype), orientations.tables(dtype)
+    words = words_of(plan.lanes, rolls)
+    width = min(ORIENTATIONS, -(-orientations.count // GROUP) * GROUP)
     key = spec.fingerprint(
-        {"arm": spec.of_arm(arm), "rotations": spec.hash_of(rotations), "dtype": dtype.name, "margin": margin}
+        {
+            "arm": spec.of_arm(arm),
+            "sets": [spec.of_set(positions), spec.of_set(orientations)],
+            "shapes": [x.shape for x in (*place, *turn)],
+            "rolls": rolls,
+            "dtype": dtype.name,
+            "statistics": {name: dict(s.facts) for name, s in plan.statistics.items()},
+        }
     )
     if key not in _compiled:
         while len(_compiled) >= _KEPT:
             _compiled.pop(next(iter(_compiled)))
-        _compiled[key] = _compile(arm, rotations, dtype, margin)
-    return _compiled[key]
+        loop = functools.partial(_loop, arm, positions, orientations, rolls, dtype, words, width)
+        shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), (place, turn))
+        index = jax.ShapeDtypeStruct((CALL, len(positions.shape)), np.int32)
+        numbers = [jax.ShapeDtypeStruct((), np.int32)] * 3
+        jitted = jax.jit(loop, compiler_options=wide_vectors())
+        _compiled[key] = jitted.lower(shapes, index, *numbers).compile()
+    tables = jax.device_put((place, turn))
+    return Kernel(_compiled[key], tables, words, orientations.count, width, len(positions.shape))
 
 
-def _compile(arm: Arm, rotations: np.ndarray, dtype: np.dtype, margin: bool) -> Callable:
-    arm = arm.astype(dtype).baked()
-    count = len(rotations)
-    padded = -(-count // GROUP) * GROUP
-    width = min(ORIENTATIONS, padded)
-    tiles = -(-padded // width)
-    # The last tile is filled up with rotations that do not count.
-    filled = np.resize(rotations, (tiles * width, 3, 3)).astype(dtype)
-    table = jnp.asarray(filled.reshape(tiles, width, 9))
-    real = jnp.asarray((np.arange(tiles * width) < count).reshape(tiles, 1, width))
+def _loop(arm, positions, orientations, rolls, dtype, words, width, tables, index, first, blocks, tiles):
+    """Totals of every word, (CALL, k)."""
+    count = orientations.count
+    columns = tuple(index[:, k] for k in range(index.shape[1]))
+    place = positions.at(tables[0], columns, jnp, dtype)
+    frame = positions.frame_at(tables[0], columns) if isinstance(positions, Surface) else None
+    places = jnp.stack([jnp.broadcast_to(x, (CALL,)) for x in (*place, *sum(frame or (), ()))])
+    turn = jnp.minimum(first, count - 1) + jnp.arange(TILES * width, dtype=jnp.int32)
+    real = (turn < count).reshape(TILES, 1, width)
+    rows = orientations.at(tables[1], jnp.minimum(turn, count - 1), jnp, dtype)
+    # As arrays that the loops below are handed: inside them it would be made again for every goal.
+    table = jnp.stack([jnp.broadcast_to(x, turn.shape) for row in rows for x in row])
+    table = jnp.moveaxis(table.reshape(9, TILES, width), 1, 0)
 
-    def block(statistic, positions):
-        place = tuple(positions[:, k].reshape(POSITIONS, 1) for k in range(3))
+    def total(word: Word) -> jax.Array:
+        deep = FEW if word.held else POSITIONS
 
-        def tile(rotation_and_real):
-            rotation, real = rotation_and_real
-            r = [rotation[:, k].reshape(1, width) for k in range(9)]
-            goal = Pose((tuple(r[0:3]), tuple(r[3:6]), tuple(r[6:9])), place)
-            hold = None if is_small(arm) else holder(r[0] + place[0])
-            return statistic(arm, solve_scalars(arm, goal, hold=hold), real)
+        def block(b, whole):
+            here = jax.lax.dynamic_slice_in_dim(places, b * deep, deep, 1)[:, :, None]
 
-        return jax.lax.map(tile, (table, real))
+            def tile(t, total):
+                r = jax.lax.dynamic_index_in_dim(table, t, keepdims=False)[:, None, :]
+                rotation = _rows([r[k] for k in range(9)])
+                if frame is not None:
+                    rotation = vector.matmul(_rows([here[k] for k in range(3, 12)]), rotation)
+                goal = Pose(rotation, tuple(here[k] for k in range(3)))
+                mask = jax.lax.dynamic_index_in_dim(real, t, keepdims=False)
+                value = _over_rolls(arm, word, goal, rolls, dtype, (deep, width))
+                return _added(word, total, _reduced(word, value, mask), t)
 
-    def call(positions):
-        blocks = positions.reshape(TILES, POSITIONS, 3)
-        # Two loops, because in one XLA would keep every square root that both results need.
-        counts = jax.lax.map(lambda p: block(_counts, p).sum(0, dtype=jnp.int32), blocks).reshape(CALL, 4)
-        if not margin:
-            return (counts,)
-        return counts, jax.lax.map(lambda p: block(_best_margin, p).max(0), blocks).reshape(CALL)
+            part = jax.lax.fori_loop(0, tiles, tile, _start(word, deep, width, dtype))
+            return jax.lax.dynamic_update_slice_in_dim(whole, part, b * deep, 0)
 
-    shape = jax.ShapeDtypeStruct((CALL, 3), dtype)
-    return jax.jit(call, compiler_options=wide_vectors()).lower(shape).compile()
+        whole = _start(word, CALL, width, dtype)
+        return jax.lax.fori_loop(0, blocks * (POSITIONS // deep), block, whole)
 
-
-def _counts(arm: Arm, slots: tuple[Slot, ...], real) -> jax.Array:
-    """Counts (positions, 4) of one tile."""
-    valid = [slot.valid & real for slot in slots]
-    inside = [v & within(arm, slot) for v, slot in zip(valid, slots, strict=True)]
-    fields = []
-    for flags in (valid, inside):
-        number = functools.reduce(jnp.add, [flag.astype(jnp.int32) for flag in flags])
-        fields += [(number > 0).astype(jnp.int32), number]
-    code = fields[0] + (fields[1] << 6) + (fields[2] << 15) + (fields[3] << 21)
-    groups = code.reshape(code.shape[0], -1, GROUP).sum(-1, dtype=jnp.int32)
-    counts = [groups & 63, groups >> 6 & 511, groups >> 15 & 63, groups >> 21 & 511]
-    return jnp.stack([count.sum(-1, dtype=jnp.int32) for count in counts], axis=-1)
+    return tuple(map(total, words))
 
 
-def _best_margin(arm: Arm, slots: tuple[Slot, ...], real) -> jax.Array:
-    """Greatest margin (positions,) of one tile."""
-    margin = functools.reduce(jnp.maximum, [slot.margin for slot in slots])
-    return jnp.where(real, margin, -jnp.inf).max(-1)
+def _rows(nine: list[jax.Array]) -> vector.Matrix:
+    return tuple(tuple(nine[3 * i : 3 * i + 3]) for i in range(3))
+
+
+def _over_rolls(arm: Arm, word: Word, goal: Pose, rolls: int, dtype, shape) -> jax.Array:
+    """One number of each goal, (positions, orientations), over all rolls about its own z axis."""
+
+    def value(rotation):
+        held = word.held or not is_small(arm)
+        hold = holder(jnp.broadcast_to(rotation[0][0] + goal.position[0], shape)) if held else None
+        slots = solve_scalars(arm, Pose(rotation, goal.position), hold=hold)
+        seen = Goal(arm, slots, hold or (lambda x: x))
+        if word.reduce == "count":
+            code = jnp.zeros(shape, jnp.int32)
+            shift = 0
+            for lane, width in zip(word.lanes, word.widths, strict=True):
+                code, shift = code + (lane.value(seen) << shift), shift + width
+            return code
+        found = jnp.broadcast_to(word.lanes[0].value(seen), shape)
+        return found.astype(jnp.uint32) if word.reduce == "bits" else found
+
+    if rolls == 1:
+        return value(goal.rotation)
+    steps = np.arange(rolls) * (2 * np.pi / rolls)
+    turns = jnp.asarray(np.stack([np.cos(steps), np.sin(steps)], -1).astype(dtype))
+
+    def roll(k, total):
+        c, s = turns[k, 0], turns[k, 1]
+        x, y, z = vector.transpose(goal.rotation)
+        turned = (
+            vector.add(vector.scale(c, x), vector.scale(s, y)),
+            vector.subtract(vector.scale(c, y), vector.scale(s, x)),
+            z,
+        )
+        return _rolled(word, total, value(vector.transpose(turned)))
+
+    start = {"max": -jnp.inf, "min": jnp.inf}.get(word.reduce, 0)
+    kind = {"count": jnp.int32, "sum": jnp.int32, "bits": jnp.uint32}.get(word.reduce, dtype)
+    return jax.lax.fori_loop(0, rolls, roll, jnp.full(shape, start, kind))
+
+
+def _rolled(word: Word, total: jax.Array, value: jax.Array) -> jax.Array:
+    """Numbers of a goal at two rolls in one."""
+    if word.reduce in ("max", "min"):
+        return (jnp.maximum if word.reduce == "max" else jnp.minimum)(total, value)
+    if word.reduce == "bits":
+        return total | value
+    if word.reduce == "sum":
+        return total + value
+    added, shift = 0, 0
+    for lane, width in zip(word.lanes, word.widths, strict=True):
+        added |= 0 if lane.any_roll else ((1 << width) - 1) << shift
+        shift += width
+    counts = jnp.int32(added)
+    return ((total & counts) + (value & counts)) | ((total | value) & ~counts)
+
+
+def _reduced(word: Word, value: jax.Array, real: jax.Array) -> jax.Array:
+    """Totals of one tile, (positions, k)."""
+    if word.reduce in ("max", "min"):
+        worst = -jnp.inf if word.reduce == "max" else jnp.inf
+        value = jnp.where(real, value, worst)
+        return (value.max(-1) if word.reduce == "max" else value.min(-1))[:, None]
+    value = jnp.where(real, value, 0)
+    groups = value.reshape(value.shape[0], -1, GROUP)
+    if word.reduce == "bits":
+        return (groups << jnp.arange(GROUP, dtype=jnp.uint32)).sum(-1, dtype=jnp.uint32)
+    sums = groups.sum(-1, dtype=jnp.int32)
+    if word.reduce == "sum":
+        parts = [sums >> 16, sums & 0xFFFF]
+    else:
+        parts, shift = [], 0
+        for width in word.widths:
+            parts.append(sums >> shift & ((1 << width) - 1))
+            shift += width
+    return jnp.stack([part.sum(-1, dtype=jnp.int32) for part in parts], axis=-1)
+
+
+def _start(word: Word, rows: int, width: int, dtype) -> jax.Array:
+    if word.reduce in ("max", "min"):
+        return jnp.full((rows, 1), -jnp.inf if word.reduce == "max" else jnp.inf, dtype)
+    if word.reduce == "bits":
+        return jnp.zeros((rows, TILES * width // GROUP), jnp.uint32)
+    return jnp.zeros((rows, 2 if word.reduce == "sum" else len(word.lanes)), jnp.int32)
+
+
+def _added(word: Word, total: jax.Array, part: jax.Array, tile) -> jax.Array:
+    if word.reduce == "max":
+        return jnp.maximum(total, part)
+    if word.reduce == "min":
+        return jnp.minimum(total, part)
+    if word.reduce == "bits":
+        return jax.lax.dynamic_update_slice_in_dim(total, part, tile * part.shape[1], 1)
+    return total + part

@@ -4,9 +4,9 @@ Storey: study. Pure: nothing is read or written here. A unit is one chunk of the
 statistic's array. Each document is known to the byte beforehand, so that a flipped bit in one is seen.
 
     zarr.json                 the spec, its fingerprint, the chunk, the state
-    reachable/zarr.json       and so on for every statistic, int32 or float32, the grid's shape
+    reachable/zarr.json       and so on for every statistic: the positions' shape, perhaps more axes
     reachable/c/1/0/2         its chunk of unit (1, 0, 2), with a checksum
-    rotations, x, y, z        what the axes mean
+    rotations, x, y, z        what the axes mean; of other sets their own
 """
 
 import hashlib
@@ -18,12 +18,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ikjax.study import spec as specs
-from ikjax.study.goals import Grid
+from ikjax.study.orientations import Listed, Orientations, rotations_of
 
-COUNTS = ("reachable", "solutions", "reachable_within", "solutions_within")
-STATISTICS = (*COUNTS, "best_margin")
-AXES = ("x", "y", "z")
-FIXED = ("rotations", *AXES)
+MOST_ROTATIONS = 2**16
+"""Of a formula: so many are written out for readers who do not know it."""
 
 GROUP = "zarr.json"
 STATES = ("clearing", "sweeping", "complete")
@@ -45,15 +43,34 @@ class Head(NamedTuple):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Of every statistic."""
+        """Of the positions."""
         return tuple(self.spec["grid"]["shape"])
 
+    @property
+    def axes(self) -> list[str]:
+        """Names of the positions' axes."""
+        return list(self.spec["grid"]["axes"])
 
-def default_chunk(shape: tuple[int, ...], orientations: int) -> tuple[int, ...]:
-    """A cube of 8 to 128 positions along an edge, in powers of two, cut to the grid."""
-    edge = min(max((GOALS / orientations) ** (1 / 3), 8), 128)
-    edge = 2 ** math.floor(math.log2(edge) + 1e-9)
-    return tuple(min(edge, size) for size in shape)
+    @property
+    def names(self) -> list[str]:
+        """Of the statistics."""
+        return list(self.spec["statistics"])
+
+
+def default_chunk(shape: tuple[int, ...], orientations: int, goals: float = GOALS) -> tuple[int, ...]:
+    """About so many goals, as near a cube as the positions allow, in powers of two.
+
+    At least 512 positions and at most 2^21, unless the arm is slower than `GOALS` takes for granted.
+    """
+    least = 512 if goals >= GOALS else 1
+    left = min(max(goals / orientations, least), 2**21)
+    chunk = [0] * len(shape)
+    # The shortest axes first: what they do not use is left to the others.
+    for rank, axis in enumerate(sorted(range(len(shape)), key=lambda k: shape[k])):
+        edge = 2 ** math.floor(math.log2(left) / (len(shape) - rank) + 1e-9)
+        chunk[axis] = min(edge, shape[axis])
+        left = max(left / chunk[axis], 1)
+    return tuple(chunk)
 
 
 def units(shape: tuple[int, ...], chunk: tuple[int, ...]) -> list[tuple[int, ...]]:
@@ -69,14 +86,18 @@ def box(unit: tuple[int, ...], shape: tuple[int, ...], chunk: tuple[int, ...]) -
     )
 
 
-def key(name: str, unit: tuple[int, ...]) -> str:
+def key(head: Head, name: str, unit: tuple[int, ...]) -> str:
     """Where a unit's chunk of a statistic lies."""
-    return "/".join([name, "c", *map(str, unit)])
+    more = head.spec["statistics"][name]["shape"]
+    return "/".join([name, "c", *map(str, unit), *("0" for _ in more)])
 
 
-def fixed(grid: Grid, rotations: np.ndarray) -> dict[str, np.ndarray]:
-    """The arrays that the spec determines."""
-    return {"rotations": rotations, **{name: grid.axis(k) for k, name in enumerate(AXES)}}
+def fixed(positions, orientations: Orientations) -> dict[str, tuple[np.ndarray, tuple[str, ...]]]:
+    """The arrays that the spec determines, with the names of their dimensions."""
+    arrays = dict(positions.named())
+    if isinstance(orientations, Listed) or orientations.count <= MOST_ROTATIONS:
+        arrays["rotations"] = (rotations_of(orientations), ("orientation", "row", "column"))
+    return arrays
 
 
 def group(head: Head) -> bytes:
@@ -114,32 +135,31 @@ def schema_of(document: bytes | None) -> int | None:
 
 def arrays(head: Head) -> dict[str, dict]:
     """The metadata of every array, by name."""
-    count = head.spec["rotations"]["count"]
-    shapes = {"rotations": (count, 3, 3), **{a: (n,) for a, n in zip(AXES, head.shape, strict=True)}}
-    names = {"rotations": ("orientation", "row", "column"), **{axis: (axis,) for axis in AXES}}
+    mark = {"fingerprint": specs.fingerprint(head.spec)}
     table = {}
-    for name in (*head.spec["statistics"], *FIXED):
-        given = name in FIXED
-        shape = shapes[name] if given else head.shape
-        kind = "float64" if given else "int32" if name in COUNTS else "float32"
-        table[name] = {
-            "zarr_format": 3,
-            "node_type": "array",
-            "shape": list(shape),
-            "data_type": kind,
-            "chunk_grid": {
-                "name": "regular",
-                "configuration": {"chunk_shape": list(shape if given else head.chunk)},
-            },
-            "chunk_key_encoding": {"name": "default", "configuration": {"separator": "/"}},
-            # A reader that takes a missing chunk for the fill value shall see that it is none.
-            "fill_value": -1 if kind == "int32" else "NaN",
-            "codecs": [{"name": "bytes", "configuration": {"endian": "little"}}, {"name": "crc32c"}],
-            "dimension_names": list(names[name] if given else AXES),
-            # So that every document says which map it is of, if the group's own is lost.
-            "attributes": {"fingerprint": specs.fingerprint(head.spec)},
-        }
+    for name, said in head.spec["statistics"].items():
+        shape, chunk = [*head.shape, *said["shape"]], [*head.chunk, *said["shape"]]
+        table[name] = _array(said["dtype"], shape, chunk, [*head.axes, *said["axes"]], mark)
+    for name, said in head.spec["fixed"].items():
+        table[name] = _array("float64", said["shape"], said["shape"], said["axes"], mark)
     return table
+
+
+def _array(kind: str, shape: list, chunk: list, axes: list, mark: dict) -> dict:
+    return {
+        "zarr_format": 3,
+        "node_type": "array",
+        "shape": shape,
+        "data_type": kind,
+        "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": chunk}},
+        "chunk_key_encoding": {"name": "default", "configuration": {"separator": "/"}},
+        # A reader that takes a missing chunk for the fill value shall see that it is none.
+        "fill_value": {"int32": -1, "uint32": 2**32 - 1}.get(kind, "NaN"),
+        "codecs": [{"name": "bytes", "configuration": {"endian": "little"}}, {"name": "crc32c"}],
+        "dimension_names": axes,
+        # So that every document says which map it is of, if the group's own is lost.
+        "attributes": mark,
+    }
 
 
 def array_documents(head: Head) -> dict[str, bytes]:

@@ -10,10 +10,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ikjax.arm.arm import Arm
-from ikjax.study import layout, spec, store
-from ikjax.study.goals import Grid
+from ikjax.study import layout, spec, statistics, store
+from ikjax.study.goals import Grid, Shell
 from ikjax.study.lock import Lock
+from ikjax.study.orientations import Orientations, rotations_of
+from ikjax.study.orientations import from_spec as orientations_from
 from ikjax.study.place import Place
+from ikjax.study.surface import Surface
 
 
 class Units(NamedTuple):
@@ -34,20 +37,24 @@ class Units(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ReachMap:
-    """Statistics of every position of a grid, over one set of orientations.
+    """Statistics of every position of a set, over one set of orientations.
 
     Of a stored map nothing but the axes and rotations is read before it is asked for; `reach.reachable`
     reads the whole array, `reach.arrays["reachable"][:, :, 3]` a slice.
     """
 
     arm: Arm
-    grid: Grid
-    rotations: np.ndarray
-    """(m, 3, 3) the orientations."""
+    grid: Grid | Shell | Surface
+    """The positions."""
+    directions: Orientations
+    """The set of orientations."""
+    rolls: int
+    """Turns about the tool's z axis of which one has to be reached; 1 where it must not turn."""
     dtype: str
     """Floating type of the kernel that made it."""
     arrays: Mapping[str, Any]
-    """The statistics by name, each grid.shape: numpy arrays, or stored ones that are read when indexed."""
+    """The statistics by name, each (*grid.shape, ...): numpy arrays, or stored ones that are read when
+    indexed."""
     seconds: float
     """What the sweep took, without the compile; of one gone on with, what all would take at its last rate."""
     units: Units | None = None
@@ -86,7 +93,24 @@ class ReachMap:
     @property
     def orientations(self) -> int:
         """Number of orientations at every position."""
-        return len(self.rotations)
+        return self.directions.count
+
+    @property
+    def rotations(self) -> np.ndarray:
+        """(m, 3, 3) the orientations; on a surface with normals as they are seen from it."""
+        return rotations_of(self.directions)
+
+    def reached(self, place: tuple[int, ...] | slice = slice(None), within: bool = True) -> np.ndarray:
+        """Which orientations are reached, (..., m) bool; needs the statistic `mask_within` or `mask`.
+
+        Args:
+            place: Index of a position or of several; everything by default.
+            within: Within the joint limits.
+        """
+        name = "mask_within" if within else "mask"
+        if name not in self.arrays:
+            raise ValueError(f"this map was made without {name}, it has {', '.join(self.arrays)}")
+        return statistics.unpacked(np.asarray(self.arrays[name][place]), self.orientations)
 
     @property
     def goals(self) -> int:
@@ -98,82 +122,118 @@ class ReachMap:
         """Share of orientations reachable within the joint limits, 0 to 1."""
         return self.reachable_within / self.orientations
 
-    def numbers(self) -> dict[str, float]:
-        """The headline figures: see `summary` for their meaning."""
-        reachable, within = self.reachable, self.reachable_within
-        hit, dexterity = within > 0, within / self.orientations
-        axis = np.asarray(self.arm.base, float)
-        away = self.grid.points()[hit] - axis[:3, 3]
-        across = away - (away @ axis[:3, 2])[:, None] * axis[:3, 2]
-        return {
+    def numbers(self) -> dict[str, Any]:
+        """The headline figures, those that the statistics tell: see `summary` for their meaning."""
+        told: dict[str, Any] = {
             "positions": self.grid.count,
             "orientations": self.orientations,
             "goals": self.goals,
+        }
+        if "reachable" in self.arrays:
+            told["goals_reachable"] = float(self.reachable.sum() / self.goals)
+        if "reachable_within" in self.arrays:
+            told |= self._numbers_within()
+        for end in ("", "_within"):
+            if f"solutions{end}" in self.arrays and f"reachable{end}" in self.arrays:
+                solutions, reached = self._read(f"solutions{end}"), self._read(f"reachable{end}")
+                told[f"solutions_per_goal{end}"] = float(solutions.sum() / max(reached.sum(), 1))
+        rate = self.goals / self.seconds if self.seconds else 0.0
+        return {**told, "seconds": self.seconds, "goals_per_second": rate}
+
+    def _numbers_within(self) -> dict[str, float]:
+        hit, dexterity = self.reachable_within > 0, self.dexterity
+        axis = np.asarray(self.arm.base, float)
+        away = self.grid.points()[hit] - axis[:3, 3]
+        across = away - (away @ axis[:3, 2])[:, None] * axis[:3, 2]
+        volumes = {}
+        if not isinstance(self.grid, Surface):
+            volumes["volume"] = self.grid.volume(hit)
+            volumes["dexterous_volume"] = self.grid.volume(dexterity >= 0.5)
+        return {
             "reach": float(np.linalg.norm(across, axis=1).max(initial=0.0)),
             "height": float((away @ axis[:3, 2]).max(initial=0.0)),
             "positions_reachable": float(hit.mean()),
-            "volume": float(hit.sum() * self.grid.spacing**3),
+            "positions_dexterous": float((dexterity >= 0.5).mean()),
             "mean_dexterity": float(dexterity[hit].mean()) if hit.any() else 0.0,
             "best_dexterity": float(dexterity.max(initial=0.0)),
-            "dexterous_volume": float((dexterity >= 0.5).sum() * self.grid.spacing**3),
-            "goals_reachable": float(reachable.sum() / self.goals),
-            "goals_reachable_within": float(within.sum() / self.goals),
-            "solutions_per_goal": float(self.solutions.sum() / max(reachable.sum(), 1)),
-            "solutions_per_goal_within": float(self.solutions_within.sum() / max(within.sum(), 1)),
-            "seconds": self.seconds,
-            "goals_per_second": self.goals / self.seconds if self.seconds else 0.0,
+            "goals_reachable_within": float(self.reachable_within.sum() / self.goals),
+            **volumes,
         }
 
     def summary(self) -> str:
         """The map in a few lines for people."""
         n = self.numbers()
-        return "\n".join(
-            [
-                f"{self.arm.name}: {n['goals']:,} goals, {n['positions']:,} positions "
-                f"({self.grid.spacing * 1000:g} mm apart) x {n['orientations']:,} orientations",
+        rolls = f", free to turn ({self.rolls} tried)" if self.rolls > 1 else ""
+        lines = [
+            f"{self.arm.name}: {n['goals']:,} goals, {self.grid.in_words()} "
+            f"x {n['orientations']:,} orientations{rolls}"
+        ]
+        if "reach" in n:
+            part = "the points" if "volume" not in n else "the box" if isinstance(self.grid, Grid) else "them"
+            volume = f", {n['volume']:.3f} m^3" if "volume" in n else ""
+            half = f"{n['dexterous_volume']:.3f} m^3" if volume else f"{n['positions_dexterous']:.1%} of them"
+            lines += [
                 f"  reach             {n['reach']:.3f} m from axis 1, up to {n['height']:+.3f} m",
-                f"  positions reached {n['positions_reachable']:.1%} of the box, {n['volume']:.3f} m^3",
+                f"  positions reached {n['positions_reachable']:.1%} of {part}{volume}",
                 f"  mean dexterity    {n['mean_dexterity']:.1%} of orientations where it reaches at all, "
                 f"{n['best_dexterity']:.1%} at best",
-                f"  half or more      of all orientations in {n['dexterous_volume']:.3f} m^3",
-                f"  solutions         {n['solutions_per_goal_within']:.2f} a reachable goal within limits, "
-                f"{n['solutions_per_goal']:.2f} without limits",
-                f"  limits cost       {n['goals_reachable']:.1%} of goals fall to "
-                f"{n['goals_reachable_within']:.1%}",
-                f"  speed             {n['goals_per_second'] / 1e6:.1f} million goals/s, {self.dtype}, "
-                f"{n['seconds']:.2f} s",
+                f"  half or more      of all orientations in {half}",
             ]
+        within, anyhow = n.get("solutions_per_goal_within"), n.get("solutions_per_goal")
+        if within is not None and anyhow is not None:
+            lines.append(
+                f"  solutions         {within:.2f} a reachable goal within limits, "
+                f"{anyhow:.2f} without limits"
+            )
+        if "goals_reachable" in n and "goals_reachable_within" in n:
+            lines.append(
+                f"  limits cost       {n['goals_reachable']:.1%} of goals fall to "
+                f"{n['goals_reachable_within']:.1%}"
+            )
+        lines.append(
+            f"  speed             {n['goals_per_second'] / 1e6:.1f} million goals/s, {self.dtype}, "
+            f"{n['seconds']:.2f} s"
         )
+        return "\n".join(lines)
 
     def to_numpy(self) -> dict[str, np.ndarray]:
         """Every statistic, read whole."""
         return {name: self._read(name) for name in self.arrays}
 
     def to_xarray(self) -> Any:
-        """An `xarray.Dataset` of the statistics over x, y and z [m]."""
+        """An `xarray.Dataset` of the statistics over the axes of the positions [m]."""
         try:
             import xarray
         except ImportError as error:
             raise ImportError("to_xarray needs xarray: pip install 'ikjax[xarray]'") from error
-        axes = {name: (name, self.grid.axis(k), {"units": "m"}) for k, name in enumerate(layout.AXES)}
-        values = {name: (layout.AXES, value) for name, value in self.to_numpy().items()}
+        coords = {name: (axes, array) for name, (array, axes) in self.grid.named().items()}
+        table = self._statistics()
+        values = {
+            name: ((*self.grid.axes, *(axis for axis, _ in table[name].more)), value)
+            for name, value in self.to_numpy().items()
+        }
         facts = {"arm": self.arm.name, "orientations": self.orientations, "dtype": self.dtype}
-        return xarray.Dataset(values, coords=axes, attrs={**facts, "ikjax_schema": spec.SCHEMA})
+        return xarray.Dataset(values, coords=coords, attrs={**facts, "ikjax_schema": spec.SCHEMA})
+
+    def _statistics(self) -> dict[str, statistics.Statistic]:
+        return statistics.plan(self.arm, self.arrays, self.orientations).statistics
 
     def save(self, out, *, chunk=None) -> None:
         """Write the map as a zarr v3 group; see `store`.
 
         Args:
             out: A folder, or a URL that tensorstore knows. A finished map there is replaced.
-            chunk: Positions (3,) of a chunk.
+            chunk: Positions of a chunk along each axis.
 
         Raises:
             FileExistsError: Something else than a finished map is there.
         """
-        study = spec.of_study(self.arm, self.grid, self.rotations, self.dtype, tuple(self.arrays))
+        fixed = layout.fixed(self.grid, self.directions)
+        study = spec.of_study(
+            self.arm, self.grid, self.directions, self.rolls, self.dtype, self._statistics(), fixed
+        )
         chunk = layout.default_chunk(self.grid.shape, self.orientations) if chunk is None else tuple(chunk)
         head = layout.Head(study, spec.of_arm(self.arm), chunk, "sweeping", 0.0)
-        fixed = layout.fixed(self.grid, self.rotations)
         place, values = Place(out), self.to_numpy()
         with Lock(place):
             disk = store.begin(place, head, fixed, resume=False, chunk_given=True)
@@ -192,15 +252,25 @@ class ReachMap:
         """
         place = Place(out)
         head, arrays = store.read(place)
-        rotations = np.asarray(arrays["rotations"])
-        if spec.hash_of(rotations) != head.spec["rotations"]["sha256"]:
-            raise ValueError(f"{place}: rotations are not those of its spec")
-        grid = head.spec["grid"]
+        known = {name: np.asarray(arrays[name]) for name in head.spec["fixed"]}
+        for name, array in known.items():
+            if spec.hash_of(array) != head.spec["fixed"][name]["sha256"]:
+                raise ValueError(f"{place}: {name} is not that of its spec")
         return ReachMap(
             arm=spec.to_arm(head.arm),
-            grid=Grid(tuple(grid["origin"]), grid["spacing"], tuple(grid["shape"])),
-            rotations=rotations,
+            grid=_positions(head.spec["grid"], known),
+            directions=orientations_from(head.spec["orientations"], known.get("rotations")),
+            rolls=head.spec["rolls"],
             dtype=head.spec["dtype"],
-            arrays={name: arrays[name] for name in head.spec["statistics"]},
+            arrays={name: arrays[name] for name in head.names},
             seconds=head.seconds,
         )
+
+
+def _positions(said: dict, known: dict[str, np.ndarray]) -> Grid | Shell | Surface:
+    """The set of positions that a spec describes."""
+    if said["kind"] == "Surface":
+        return Surface(known["points"], known.get("normals"))
+    if said["kind"] == "Shell":
+        return Shell(tuple(said["centre"]), tuple(said["radii"]), said["directions"])
+    return Grid(tuple(said["origin"]), said["spacing"], tuple(said["shape"]))

@@ -24,7 +24,7 @@ from ikjax.arm import dh, robots
 from ikjax.arm.arm import Arm
 from ikjax.core.pose import pose
 from ikjax.study.goals import Grid, around, grid
-from ikjax.study.layout import STATISTICS
+from ikjax.study.statistics import USUAL as STATISTICS
 
 KEYS = ("arm", "spacing", "orientations", "bounds", "limits", "statistics", "chunk", "dtype")
 LARGEST = 2**24

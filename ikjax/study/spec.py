@@ -8,18 +8,31 @@ import hashlib
 import json
 import math
 import sys
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from ikjax.arm.arm import Arm
-from ikjax.study.goals import Grid
+from ikjax.study.statistics import Statistic
 
-SCHEMA = 2
+SCHEMA = 3
 """Version of a map's layout; a reader refuses any other."""
 
 
-def of_study(arm: Arm, grid: Grid, rotations: np.ndarray, dtype: str, statistics: tuple[str, ...]) -> dict:
+Fixed = Mapping[str, tuple[np.ndarray, tuple[str, ...]]]
+"""Arrays that a map holds besides its statistics, by name, with the names of their dimensions."""
+
+
+def of_study(
+    arm: Arm,
+    positions,
+    orientations,
+    rolls: int,
+    dtype: str,
+    statistics: Mapping[str, Statistic],
+    fixed: Fixed,
+) -> dict:
     """Everything that a map's numbers depend on. The size of its chunks is not among it."""
     study = {
         "schema": SCHEMA,
@@ -27,12 +40,32 @@ def of_study(arm: Arm, grid: Grid, rotations: np.ndarray, dtype: str, statistics
         "ikjax": sys.modules["ikjax"].__version__,
         # Rounded as the kernel sees it, whatever type its leaves have where it is swept.
         "arm": of_arm(arm.astype(dtype)),
-        "grid": dataclasses.asdict(grid),
-        "rotations": {"count": len(rotations), "sha256": hash_of(rotations)},
+        "grid": {**of_set(positions), "shape": positions.shape, "axes": positions.axes},
+        "orientations": {**of_set(orientations), "count": orientations.count},
+        "rolls": rolls,
         "dtype": dtype,
-        "statistics": list(statistics),
+        "statistics": {
+            name: {
+                "dtype": statistic.dtype,
+                "axes": [name for name, _ in statistic.more],
+                "shape": [size for _, size in statistic.more],
+                **statistic.facts,
+            }
+            for name, statistic in statistics.items()
+        },
+        "fixed": {
+            name: {"shape": array.shape, "axes": axes, "sha256": hash_of(array)}
+            for name, (array, axes) in fixed.items()
+        },
     }
     return json.loads(canonical(study))
+
+
+def of_set(chosen) -> dict:
+    """A set of positions or orientations as JSON; arrays are left to `fixed`."""
+    fields = {field.name: getattr(chosen, field.name) for field in dataclasses.fields(chosen)}
+    plain = {name: value for name, value in fields.items() if not isinstance(value, np.ndarray)}
+    return {"kind": type(chosen).__name__, **plain}
 
 
 def hash_of(array: np.ndarray) -> str:

@@ -39,7 +39,7 @@ class Survey(NamedTuple):
 class Store:
     """A map that is being written. Hold a `Lock` meanwhile."""
 
-    def __init__(self, place: Place, head: Head, fixed: Mapping[str, np.ndarray]):
+    def __init__(self, place: Place, head: Head, fixed: specs.Fixed):
         self.place, self.head, self.fixed = place, head, fixed
         self.units = layout.units(head.shape, head.chunk)
         table = layout.arrays(head)
@@ -57,7 +57,10 @@ class Store:
     def prepare(self) -> None:
         """Steps 1 to 3, up to the first unit."""
         self.say("clearing")
-        for name in (*layout.STATISTICS, *layout.FIXED):
+        # The earlier map may have had other statistics and axes; what is no array is not ours.
+        there = self.place.keys()
+        earlier = {key.removesuffix("/zarr.json") for key in there if key.endswith("/zarr.json")}
+        for name in sorted({*earlier, *self.arrays}):
             self.place.delete(f"{name}/")
         self.repair()
 
@@ -66,7 +69,7 @@ class Store:
         for key, document in layout.array_documents(self.head).items():
             if self.place.read(key) != document:
                 self.place.write(key, document)
-        for name, value in self.fixed.items():
+        for name, (value, _) in self.fixed.items():
             if not _holds(self.arrays[name], value):
                 with self.place.storing(name):
                     self.arrays[name].write(value).result()
@@ -85,10 +88,10 @@ class Store:
             good.append(bool(futures) and all(future.exception() is None for future in futures))
 
         for number, unit in enumerate(self.units):
-            whole = all(layout.key(name, unit) in there for name in self.head.spec["statistics"])
+            whole = all(layout.key(self.head, name, unit) in there for name in self.head.names)
             missing += not whole
             box = self.box(number)
-            names = self.head.spec["statistics"] if whole else ()
+            names = self.head.names if whole else []
             reads.append([self.arrays[name][box].read() for name in names])
             if len(reads) > AT_ONCE:
                 take()
@@ -109,7 +112,7 @@ class Store:
                 future.result()
 
 
-def begin(place: Place, head: Head, fixed: Mapping[str, np.ndarray], *, resume: bool, chunk_given: bool):
+def begin(place: Place, head: Head, fixed: specs.Fixed, *, resume: bool, chunk_given: bool):
     """The store of a sweep: a new one, or one to go on with.
 
     Args:
@@ -159,7 +162,7 @@ def begin(place: Place, head: Head, fixed: Mapping[str, np.ndarray], *, resume: 
     return store
 
 
-def _new(place: Place, head: Head, fixed: Mapping[str, np.ndarray]) -> Store:
+def _new(place: Place, head: Head, fixed: specs.Fixed) -> Store:
     store = Store(place, head, fixed)
     store.prepare()
     return store
@@ -167,10 +170,10 @@ def _new(place: Place, head: Head, fixed: Mapping[str, np.ndarray]) -> Store:
 
 def _told_by_arrays(place: Place, head: Head) -> Head | None:
     """The head, where the group's document is lost but every array's says that it is of this spec."""
-    chunk = layout.chunk_of(place.read(f"{head.spec['statistics'][0]}/zarr.json"))
-    if chunk is None or len(chunk) != len(head.shape) or min(chunk) < 1:
+    chunk = layout.chunk_of(place.read(f"{head.names[0]}/zarr.json"))
+    if chunk is None or len(chunk) < len(head.shape) or min(chunk) < 1:
         return None
-    head = head._replace(chunk=chunk, state="sweeping")
+    head = head._replace(chunk=chunk[: len(head.shape)], state="sweeping")
     documents = layout.array_documents(head)
     return head if all(place.read(key) == document for key, document in documents.items()) else None
 
@@ -196,8 +199,8 @@ def read(place: Place) -> tuple[Head, dict[str, "Stored"]]:
     for key, wanted in layout.array_documents(head).items():
         if place.read(key) != wanted:
             raise ValueError(f"{place}: {key} is damaged or missing; {_MEND}")
-    there, names = _there(place, head), head.spec["statistics"]
-    missing = sum(any(layout.key(name, unit) not in there for name in names) for unit in units)
+    there = _there(place, head)
+    missing = sum(any(layout.key(head, name, unit) not in there for name in head.names) for unit in units)
     if missing:
         raise ValueError(f"{place} is unfinished: {missing} of {len(units)} units are missing; {_GO_ON}")
     table = layout.arrays(head)
@@ -233,4 +236,4 @@ def _holds(array: Any, value: np.ndarray) -> bool:
 
 
 def _there(place: Place, head: Head) -> set[str]:
-    return set().union(*(place.keys(f"{name}/c/") for name in head.spec["statistics"]))
+    return set().union(*(place.keys(f"{name}/c/") for name in head.names))

@@ -4,54 +4,41 @@ Storey: study. A unit's positions are made from its number, and its statistics a
 the same bits come out for any size of units, in any order, and after any number of interruptions.
 """
 
-import contextlib
 import dataclasses
-import itertools
-import sys
-import time
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import Any
+from collections.abc import Iterable, Mapping
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ikjax.arm.arm import Arm
 from ikjax.ik.solve import check_family
 from ikjax.solvers.family import TOLERANCE
-from ikjax.study import layout, log, spec, store
-from ikjax.study.goals import Grid, even_rotations
-from ikjax.study.kernel import CALL, statistics_of
-from ikjax.study.layout import COUNTS, STATISTICS
+from ikjax.study import layout, log, spec, statistics, store
+from ikjax.study.goals import Grid, Shell
+from ikjax.study.kernel import Kernel, kernel_of
 from ikjax.study.lock import Lock
+from ikjax.study.orientations import Orientations, as_orientations
 from ikjax.study.place import Place
 from ikjax.study.reach import ReachMap, Units
+from ikjax.study.run import Stop, SweepStoppedError, run
+from ikjax.study.surface import Surface
+
+__all__ = ["SweepStoppedError", "sweep"]
 
 MOST_POSITIONS = 2**31
-IN_FLIGHT = 2
-"""Units that are being written while the next is computed."""
-
-Stop = Callable[[bool], str | None]
-"""Asked often, with whether a unit has just ended: why to stop, or None."""
-
-
-class SweepStoppedError(Exception):
-    """A sweep was told to stop; what is stored is whole."""
-
-    def __init__(self, why: str, where: Any, done: int, units: int):
-        self.why, self.done, self.units = why, done, units
-        rest = f"{where} holds {done} of {units} units; go on with resume=True (--resume)"
-        super().__init__(f"stopped: {why}; {rest if where is not None else 'nothing was stored'}")
+MOST_ROLLS = 1024
+CALL_SECONDS, UNIT_SECONDS = 0.5, 60.0
+"""About so long a call and a unit of a slow arm take."""
 
 
 def sweep(
     arm: Arm,
-    positions: Grid,
+    positions: Grid | Shell | Surface,
     orientations,
     *,
+    rolls: int = 1,
     dtype=None,
-    statistics: Iterable[str] = STATISTICS,
+    statistics: Iterable[str] = statistics.USUAL,
     out=None,
     resume: bool = False,
     chunk=None,
@@ -62,61 +49,69 @@ def sweep(
 
     Args:
         arm: An arm with a family.
-        positions: `ikjax.grid(...)` or `ikjax.around(arm, spacing)`.
-        orientations: A number, for that many even ones over all rotations, or rotations (m, 3, 3).
+        positions: `ikjax.grid(...)`, `ikjax.around(arm, spacing)`, `ikjax.shell(...)` or
+            `ikjax.surface(...)`; on a surface with normals orientations are seen from it.
+        orientations: A number, for that many even ones over all rotations; rotations (m, 3, 3);
+            `ikjax.hopf(level)` or `ikjax.cone(...)`.
+        rolls: Where the tool may turn about its own z axis: so many turns of each orientation are tried, and
+            it counts as reached if one of them is. Solutions are then those of all turns.
         dtype: float32 or float64 of the kernel; by default the arm's.
-        statistics: Which to keep; the four counts come together, the margin is a loop more.
+        statistics: Which to keep, by name: see `study.statistics`. What is not asked for is not computed.
         out: A folder, or a URL that tensorstore knows, where the map is stored unit by unit. A finished
             map there is replaced, an unfinished one only gone on with.
         resume: Go on with what is at `out`: what cannot be read is computed. Start if nothing is there.
-        chunk: Positions (3,) of a unit along x, y, z; the numbers do not depend on it.
+        chunk: Positions of a unit along each axis; the numbers do not depend on it. By default about a
+            second of work, and at most about a minute.
         progress: Show a bar with rate and time left on stderr.
         stop: Asked after every call, and with True after every unit: a reason to stop, or None.
 
     Returns:
-        A `ReachMap`: counts for every position, exact at each goal up to rounding at folds.
+        A `ReachMap`: statistics of every position, exact at each goal up to rounding at folds.
 
     Raises:
-        ValueError: An arm of no family, orientations that are no rotations, another sweep's map to go on
-            with, another writer at work.
+        ValueError: An arm of no family, orientations that are no rotations, a statistic of no such name,
+            another sweep's map to go on with, another writer at work.
         FileExistsError: Something at `out` that must not be overwritten.
         StorageError: The store cannot be written; the units before that are whole.
         SweepStoppedError: `stop` gave a reason.
     """
-    rotations, dtype, names = _checked(arm, positions, orientations, dtype, statistics)
-    study = spec.of_study(arm, positions, rotations, dtype.name, names)
-    wanted = _chunk(chunk, positions.shape, len(rotations))
+    dtype = _checked(arm, positions, rolls, dtype)
+    turns = as_orientations(orientations)
+    plan = _plan(arm, statistics, turns, rolls)
+    fixed = layout.fixed(positions, turns)
+    study = spec.of_study(arm, positions, turns, rolls, dtype.name, plan.statistics, fixed)
+    kernel = kernel_of(arm, positions, turns, rolls, dtype, plan)
+    wanted = _chunk(chunk, positions.shape, turns.count, kernel)
     head = layout.Head(study, spec.of_arm(arm), wanted, "sweeping", 0.0)
-    kernel = statistics_of(arm, rotations, dtype, "best_margin" in names)
 
-    def run(sink, todo: list[int], diary: log.Log) -> float:
-        return _run(sink, todo, positions, len(rotations), dtype, kernel, progress, stop, diary)
+    def work(sink, todo: list[int], diary: log.Log) -> float:
+        return run(sink, todo, kernel, plan, progress=progress, stop=stop, diary=diary)
 
     if out is None:
-        memory = _Memory(head)
-        seconds = run(memory, list(range(len(memory.units))), log.Log(None))
-        return ReachMap(arm, positions, rotations, dtype.name, memory.arrays, seconds)
+        memory = _Memory(head, plan)
+        seconds = work(memory, list(range(len(memory.units))), log.Log(None))
+        return ReachMap(arm, positions, turns, rolls, dtype.name, memory.arrays, seconds)
     place = Place(out)
-    fixed = layout.fixed(positions, rotations)
     with Lock(place), log.Log(place.folder) as diary:
         disk = store.begin(place, head, fixed, resume=resume, chunk_given=chunk is not None)
         survey = disk.survey()
         todo = [number for number, good in enumerate(survey.good) if not good]
         units = Units(len(disk.units), sum(survey.good), survey.missing, survey.damaged)
         diary.begun(disk.head, units)
-        seconds = run(disk, todo, diary) if todo else disk.head.seconds
+        seconds = work(disk, todo, diary) if todo else disk.head.seconds
         disk.say("complete", seconds)
         diary.line(f"complete, {seconds:.2f} s for the whole at this run's rate")
     return dataclasses.replace(ReachMap.load(out), units=units)
 
 
-def _checked(arm: Arm, positions: Grid, orientations, dtype, statistics):
+def _checked(arm: Arm, positions, rolls: int, dtype) -> np.dtype:
     check_family(arm)
     if arm.task.startswith("planar"):
         raise ValueError(
             f"{arm.name} moves in a plane (task {arm.task!r}), so a map in space says nothing of it"
         )
-    rotations = _rotations(orientations)
+    if not isinstance(positions, Grid | Shell | Surface):
+        raise ValueError(f"positions must be a grid, a shell or a surface, got {type(positions).__name__}")
     dtype = np.dtype(arm.dtype if dtype is None else dtype)
     if dtype.name not in TOLERANCE:
         raise ValueError(f"dtype must be float32 or float64, got {dtype}")
@@ -124,33 +119,26 @@ def _checked(arm: Arm, positions: Grid, orientations, dtype, statistics):
         raise ValueError(
             f"positions must be at most {MOST_POSITIONS:,} in one sweep, got {positions.count:,}"
         )
+    if isinstance(rolls, bool) or not isinstance(rolls, int) or not 1 <= rolls <= MOST_ROLLS:
+        raise ValueError(f"rolls must be a whole number from 1 to {MOST_ROLLS}, got {rolls}")
     if jnp.zeros((), dtype).dtype != dtype:
         raise ValueError(f"dtype {dtype} needs jax_enable_x64")
-    statistics = [statistics] if isinstance(statistics, str) else list(statistics)
-    if not set(COUNTS) <= set(statistics) <= set(STATISTICS):
-        raise ValueError(
-            f"statistics must be {', '.join(COUNTS)} and, if wanted, best_margin, got {', '.join(statistics)}"
-        )
-    return rotations, dtype, tuple(name for name in STATISTICS if name in statistics)
+    return dtype
 
 
-def _rotations(orientations) -> np.ndarray:
-    if np.ndim(orientations) == 0:
-        return even_rotations(int(orientations))
-    rotations = np.asarray(orientations, float)
-    if rotations.ndim != 3 or rotations.shape[1:] != (3, 3) or len(rotations) == 0:
-        raise ValueError(f"orientations must be a number or rotations (m, 3, 3), got {rotations.shape}")
-    gap = np.linalg.norm(np.swapaxes(rotations, 1, 2) @ rotations - np.eye(3), axis=(1, 2))
-    bad = ~(gap <= 1e-5) | (np.linalg.det(rotations) < 0)
-    if bad.any():
-        i = int(np.argmax(bad))
-        raise ValueError(f"orientations[{i}] must be a rotation, its R^T R - I has norm {gap[i]:.1g}")
-    return rotations
+def _plan(arm: Arm, names: Iterable[str], turns: Orientations, rolls: int) -> statistics.Plan:
+    # Solutions of a position are counted in 31 bits.
+    most = turns.count * rolls * len(arm.branches)
+    if most >= 2**31:
+        raise ValueError(f"orientations x rolls x branches must be below 2^31, got {most:,}")
+    return statistics.plan(arm, [names] if isinstance(names, str) else names, turns.count)
 
 
-def _chunk(chunk, shape: tuple[int, ...], orientations: int) -> tuple[int, ...]:
+def _chunk(chunk, shape: tuple[int, ...], orientations: int, kernel: Kernel) -> tuple[int, ...]:
+    rate = kernel.suit(CALL_SECONDS)
     if chunk is None:
-        return layout.default_chunk(shape, orientations)
+        goals = min(layout.GOALS, 2.0 ** np.floor(np.log2(UNIT_SECONDS * rate)))
+        return layout.default_chunk(shape, orientations, goals)
     edges = np.asarray(chunk)
     if edges.shape != (len(shape),) or edges.dtype.kind not in "iu" or (edges < 1).any():
         raise ValueError(f"chunk must be {len(shape)} whole numbers above zero, got {chunk}")
@@ -160,11 +148,13 @@ def _chunk(chunk, shape: tuple[int, ...], orientations: int) -> tuple[int, ...]:
 class _Memory:
     """Where the units of a sweep without a store go."""
 
-    def __init__(self, head: layout.Head):
+    def __init__(self, head: layout.Head, plan: statistics.Plan):
         self.place, self.head = None, head
         self.units = layout.units(head.shape, head.chunk)
-        types = {name: np.int32 if name in COUNTS else np.float32 for name in head.spec["statistics"]}
-        self.arrays = {name: np.empty(head.shape, kind) for name, kind in types.items()}
+        self.arrays = {
+            name: np.empty((*head.shape, *(size for _, size in statistic.more)), statistic.dtype)
+            for name, statistic in plan.statistics.items()
+        }
 
     def box(self, number: int) -> tuple[slice, ...]:
         return layout.box(self.units[number], self.head.shape, self.head.chunk)
@@ -175,109 +165,3 @@ class _Memory:
 
     def settle(self, number: int, futures: None) -> None:
         pass
-
-
-def _run(
-    sink,
-    todo: list[int],
-    positions: Grid,
-    orientations: int,
-    dtype: np.dtype,
-    kernel: Callable,
-    progress: bool,
-    stop: Stop | None,
-    diary: log.Log,
-) -> float:
-    """Compute the units `todo` into `sink`; seconds for all units, at the rate of these."""
-    boxes = [sink.box(number) for number in todo]
-    shapes = [tuple(side.stop - side.start for side in box) for box in boxes]
-    sizes = [int(np.prod(shape)) for shape in shapes]
-    names = sink.head.spec["statistics"]
-    done = len(sink.units) - len(todo)
-    writing: deque[tuple[int, Any]] = deque()
-    started = time.perf_counter()
-
-    def finish(keep: int) -> None:
-        nonlocal done
-        while len(writing) > keep:
-            sink.settle(*writing.popleft())
-            done += 1
-
-    def ask(ended: bool) -> None:
-        why = None if stop is None else stop(ended)
-        if why is not None:
-            finish(0)
-            raise SweepStoppedError(why, sink.place, done, len(sink.units))
-
-    points = (positions.part(box).reshape(-1, 3).astype(dtype) for box in boxes)
-    try:
-        with _bar(positions.count * orientations, sum(sizes) * orientations, progress) as advance:
-            rows = _recut(_computed(kernel, points, ask), sizes)
-            for number, shape, size, row in zip(todo, shapes, sizes, rows, strict=True):
-                columns = dict(zip(STATISTICS, row.T, strict=False))
-                if "best_margin" in columns:
-                    columns["best_margin"] = np.ascontiguousarray(columns["best_margin"]).view(np.float32)
-                values = {name: columns[name].reshape(shape) for name in names}
-                writing.append((number, sink.put(number, values)))
-                finish(IN_FLIGHT)
-                advance(size * orientations)
-                diary.progress(done, len(sink.units))
-                if number != todo[-1]:
-                    ask(True)
-    except BaseException:
-        # What is under way is settled, so that nothing is written any more when the lock goes.
-        with contextlib.suppress(OSError):
-            finish(0)
-        raise
-    finish(0)
-    return (time.perf_counter() - started) * positions.count / max(sum(sizes), 1)
-
-
-def _computed(kernel: Callable, points: Iterable[np.ndarray], ask: Callable) -> Iterator[np.ndarray]:
-    """Statistics as one row of 32-bit numbers a position, margins by their bits, call by call."""
-    waiting = None
-    for batch in _recut(points, itertools.repeat(CALL)):
-        # The last call is filled up; what is computed past the end is never looked at.
-        full = batch if len(batch) == CALL else np.resize(batch, (CALL, 3))
-        # One call is always under way while the one before it is fetched.
-        ready, waiting = waiting, kernel(full)
-        if ready is not None:
-            yield _fetched(ready, ask)
-    if waiting is not None:
-        yield _fetched(waiting, ask)
-
-
-def _fetched(result: tuple[Any, ...], ask: Callable) -> np.ndarray:
-    while not all(array.is_ready() for array in result):
-        ask(False)
-        time.sleep(0.001)
-    counts, *margin = jax.device_get(result)
-    columns = [np.asarray(m, np.float32).view(np.int32)[:, None] for m in margin]
-    return np.concatenate([counts, *columns], axis=1)
-
-
-def _recut(stream: Iterable[np.ndarray], sizes: Iterable[int]) -> Iterator[np.ndarray]:
-    """The rows of a stream of arrays, cut anew to `sizes`; the last piece may be short."""
-    stream, held, count = iter(stream), [], 0
-    for size in sizes:
-        while count < size and (piece := next(stream, None)) is not None:
-            held.append(piece)
-            count += len(piece)
-        if count == 0:
-            return
-        whole = held[0] if len(held) == 1 else np.concatenate(held)
-        yield whole[:size]
-        held, count = [whole[size:]], max(count - size, 0)
-
-
-@contextlib.contextmanager
-def _bar(goals: int, left: int, show: bool) -> Iterator[Callable[[int], Any]]:
-    """A function that moves a bar on."""
-    if not show:
-        yield lambda _: None
-        return
-    from tqdm import tqdm
-
-    options: dict[str, Any] = {"unit": " goals", "unit_scale": True, "file": sys.stderr, "mininterval": 0.5}
-    with tqdm(total=goals, initial=goals - left, **options) as bar:
-        yield bar.update

@@ -5,7 +5,7 @@ import pytest
 
 import ikjax
 from ikjax.study import recipe
-from ikjax.study.layout import STATISTICS
+from ikjax.study.recipe import STATISTICS
 
 SHORT = 'arm = "ur5"\nspacing = 0.5\norientations = 8\n'
 

@@ -14,7 +14,9 @@ import small
 import ikjax
 from ikjax.study import layout
 from ikjax.study import spec as specs
+from ikjax.study.orientations import Listed
 from ikjax.study.place import Place, StorageError
+from ikjax.study.statistics import USUAL, plan
 from ikjax.study.store import Store
 from ikjax.study.sweep import SweepStoppedError
 
@@ -117,7 +119,7 @@ def test_damage_anywhere_is_found_and_mended(how, copy, whole, memory, rng):
         with pytest.raises(ValueError, match=r"map\.zarr"):
             small.bits(ikjax.ReachMap.load(copy))
         units = small.swept(copy, resume=True).units
-        if path in chunks and path.parts[0] in layout.STATISTICS:
+        if path in chunks and path.parts[0] in USUAL:
             assert units == (8, 7, how == "delete", how != "delete")
         else:
             assert units == (8, 8, 0, 0)
@@ -268,7 +270,7 @@ def test_a_map_becomes_a_dataset_or_says_what_to_install(copy, memory):
             reach.to_xarray()
         return
     data = reach.to_xarray()
-    assert {name: data[name].values.tobytes() for name in layout.STATISTICS} == memory
+    assert {name: data[name].values.tobytes() for name in USUAL} == memory
     assert data.sizes == {"x": 8, "y": 8, "z": 2} and np.array_equal(data.x, reach.grid.axis(0))
     assert data.attrs["orientations"] == 48
 
@@ -278,17 +280,17 @@ def test_a_stored_map_opens_in_other_readers(name, copy, memory):
     reader = pytest.importorskip(name)
     pytest.importorskip("zarr")
     data = reader.open_group(copy, mode="r") if name == "zarr" else reader.open_zarr(copy, consolidated=False)
-    assert {key: np.asarray(data[key]).tobytes() for key in layout.STATISTICS} == memory
+    assert {key: np.asarray(data[key]).tobytes() for key in USUAL} == memory
 
 
 def test_a_map_without_the_margin(tmp_path, memory):
-    reach = small.swept(tmp_path / "map.zarr", statistics=layout.COUNTS)
-    assert small.bits(reach) == {name: memory[name] for name in layout.COUNTS}
+    reach = small.swept(tmp_path / "map.zarr", statistics=USUAL[:4])
+    assert small.bits(reach) == {name: memory[name] for name in USUAL[:4]}
     assert reach.summary() and not (tmp_path / "map.zarr" / "best_margin").exists()
     with pytest.raises(ValueError, match="made without best_margin"):
         reach.best_margin  # noqa: B018
-    with pytest.raises(ValueError, match="statistics must be reachable"):
-        small.swept(statistics=["best_margin"])
+    with pytest.raises(ValueError, match=r"statistics must be some of reachable, .*, got height"):
+        small.swept(statistics=["height"])
 
 
 def test_an_arm_in_a_map_keeps_its_coupling_and_correction(tmp_path, rng):
@@ -307,7 +309,9 @@ def test_an_arm_in_a_map_keeps_its_coupling_and_correction(tmp_path, rng):
 
 def test_a_spec_does_not_depend_on_the_type_that_an_arm_comes_in():
     arm = ikjax.robots.puma560()
-    rest = ikjax.around(arm, 1), np.eye(3)[None], "float32", layout.COUNTS
+    around, turns = ikjax.around(arm, 1), Listed(np.eye(3)[None])
+    kept = plan(arm, USUAL, 1).statistics
+    rest = around, turns, 1, "float32", kept, layout.fixed(around, turns)
     spec = specs.of_study(arm, *rest)
     assert spec == specs.of_study(arm.astype(np.float32), *rest) and spec["arm"]["a"][1] == 0.4318
     back = specs.to_arm(spec["arm"])

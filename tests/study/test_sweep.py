@@ -95,7 +95,7 @@ def test_a_map_of_another_schema_or_changed_by_hand_is_refused(reach, tmp_path):
         ikjax.ReachMap.load(path)
     group["attributes"]["ikjax_schema"] = spec.SCHEMA + 1
     (path / "zarr.json").write_text(json.dumps(group))
-    with pytest.raises(ValueError, match=r"has schema 3, this version reads schema 2"):
+    with pytest.raises(ValueError, match=r"has schema 4, this version reads schema 3"):
         ikjax.ReachMap.load(path)
 
 

@@ -1,0 +1,171 @@
+"""The work of a sweep: units in, their statistics out, one call under way while another is fetched.
+
+Storey: study. Positions stream through calls of one size whatever the size of units, so that the bits of a
+position depend on nothing but the position.
+"""
+
+import contextlib
+import itertools
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, Protocol
+
+import numpy as np
+
+from ikjax.study import log
+from ikjax.study.kernel import Kernel
+from ikjax.study.layout import Head
+from ikjax.study.statistics import Plan
+
+IN_FLIGHT = 2
+"""Units that are being written while the next is computed."""
+
+Stop = Callable[[bool], str | None]
+"""Asked often, with whether a unit has just ended: why to stop, or None."""
+
+
+class Sink(Protocol):
+    """Where units go."""
+
+    place: Any
+    head: Head
+    units: list[tuple[int, ...]]
+
+    def box(self, number: int) -> tuple[slice, ...]: ...
+
+    def put(self, number: int, values: dict[str, np.ndarray]) -> Any: ...
+
+    def settle(self, number: int, futures: Any) -> None: ...
+
+
+class SweepStoppedError(Exception):
+    """A sweep was told to stop; what is stored is whole."""
+
+    def __init__(self, why: str, where: Any, done: int, units: int):
+        self.why, self.done, self.units = why, done, units
+        rest = f"{where} holds {done} of {units} units; go on with resume=True (--resume)"
+        super().__init__(f"stopped: {why}; {rest if where is not None else 'nothing was stored'}")
+
+
+def run(
+    sink: Sink,
+    todo: list[int],
+    kernel: Kernel,
+    plan: Plan,
+    *,
+    progress: bool = False,
+    stop: Stop | None = None,
+    diary: log.Log,
+) -> float:
+    """Compute the units `todo` into `sink`; seconds for all units, at the rate of these."""
+    boxes = [sink.box(number) for number in todo]
+    shapes = [tuple(side.stop - side.start for side in box) for box in boxes]
+    sizes = [int(np.prod(shape)) for shape in shapes]
+    positions = int(np.prod(sink.head.shape))
+    done = len(sink.units) - len(todo)
+    writing: deque[tuple[int, Any]] = deque()
+    started = time.perf_counter()
+
+    def finish(keep: int) -> None:
+        nonlocal done
+        while len(writing) > keep:
+            sink.settle(*writing.popleft())
+            done += 1
+
+    def ask(ended: bool) -> None:
+        why = None if stop is None else stop(ended)
+        if why is not None:
+            finish(0)
+            raise SweepStoppedError(why, sink.place, done, len(sink.units))
+
+    places = (_places(box) for box in boxes)
+    try:
+        with _bar(positions, sum(sizes), kernel.orientations, progress) as advance:
+            rows = _recut(_computed(kernel, plan, places, ask), sizes)
+            for number, shape, size, row in zip(todo, shapes, sizes, rows, strict=True):
+                values = {
+                    name: np.ascontiguousarray(row[name]).reshape(*shape, *row[name].shape[1:])
+                    for name in plan.statistics
+                }
+                writing.append((number, sink.put(number, values)))
+                finish(IN_FLIGHT)
+                advance(size * kernel.orientations)
+                diary.progress(done, len(sink.units))
+                if number != todo[-1]:
+                    ask(True)
+    except BaseException:
+        # What is under way is settled, so that nothing is written any more when the lock goes.
+        with contextlib.suppress(OSError):
+            finish(0)
+        raise
+    finish(0)
+    return (time.perf_counter() - started) * positions / max(sum(sizes), 1)
+
+
+def _places(box: tuple[slice, ...]) -> np.ndarray:
+    """The places of a box, (n, axes), the last axis fastest."""
+    sides = [np.arange(side.start, side.stop, dtype=np.int32) for side in box]
+    return np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, len(box))
+
+
+def _computed(
+    kernel: Kernel, plan: Plan, places: Iterable[np.ndarray], ask: Callable
+) -> Iterator[np.ndarray]:
+    """Statistics as records, one a position, call by call."""
+    batches = _recut(places, itertools.repeat(kernel.positions))
+    calls = ((batch, first) for batch in batches for first in kernel.firsts())
+    waiting, totals = None, None
+    for call in itertools.chain(calls, [None]):
+        # One call is always under way while the one before it is fetched.
+        ready, waiting = waiting, call and (*call, kernel.begin(*call))
+        if ready is None:
+            continue
+        batch, first, result = ready
+        while not all(array.is_ready() for array in result):
+            ask(False)
+            time.sleep(0.001)
+        fetched = kernel.fetched(result, len(batch), first)
+        totals = fetched if first == 0 else kernel.together(totals, fetched)
+        if first == kernel.firsts()[-1]:
+            yield _records(plan, totals, len(batch))
+
+
+def _records(plan: Plan, totals: dict[str, np.ndarray], count: int) -> np.ndarray:
+    kinds: list[Any] = [
+        (name, statistic.dtype, tuple(size for _, size in statistic.more))
+        for name, statistic in plan.statistics.items()
+    ]
+    records = np.empty(count, kinds)
+    for name, statistic in plan.statistics.items():
+        records[name] = statistic.finish(*(totals[lane] for lane in statistic.lanes))
+    return records
+
+
+def _recut(stream: Iterable[np.ndarray], sizes: Iterable[int]) -> Iterator[np.ndarray]:
+    """The rows of a stream of arrays, cut anew to `sizes`; the last piece may be short."""
+    stream, held, count = iter(stream), [], 0
+    for size in sizes:
+        while count < size and (piece := next(stream, None)) is not None:
+            held.append(piece)
+            count += len(piece)
+        if count == 0:
+            return
+        whole = held[0] if len(held) == 1 else np.concatenate(held)
+        yield whole[:size]
+        held, count = [whole[size:]], max(count - size, 0)
+
+
+@contextlib.contextmanager
+def _bar(positions: int, left: int, orientations: int, show: bool) -> Iterator[Callable[[int], Any]]:
+    """A function that moves a bar on."""
+    if not show:
+        yield lambda _: None
+        return
+    from tqdm import tqdm
+
+    options: dict[str, Any] = {"unit": " goals", "unit_scale": True, "file": sys.stderr, "mininterval": 0.5}
+    total, begun = positions * orientations, (positions - left) * orientations
+    with tqdm(total=total, initial=begun, **options) as bar:
+        yield bar.update
