@@ -20,6 +20,7 @@ import numpy as np
 
 import ikjax
 from ikjax.study import compare, recipe
+from ikjax.study.orientations import as_orientations
 from ikjax.study.place import Place, StorageError
 from ikjax.study.stop import TIME_IS_UP, Stop
 from ikjax.study.sweep import SweepStoppedError
@@ -257,7 +258,7 @@ def _study(options) -> recipe.Recipe:
     orientations = 512 if options.orientations is None else options.orientations
     positions = ikjax.around(arm, options.spacing or 0.05)
     dtype = "float64" if options.other_dtype else "float32"
-    return recipe.Recipe(arm, positions, orientations, recipe.STATISTICS, None, dtype)
+    return recipe.Recipe(arm, positions, orientations, 1, recipe.STATISTICS, None, dtype)
 
 
 def _sweep(options) -> int:
@@ -272,7 +273,7 @@ def _sweep(options) -> int:
     if positions >= 2**31:
         raise ValueError(f"--spacing asks for {positions:.2g} positions, 2^31 or more")
     if not options.json:
-        count = study.orientations if np.ndim(study.orientations) == 0 else len(study.orientations)
+        count = as_orientations(study.orientations).count
         print(_plain(f"sweeping {study.arm.name}: {positions * count:,} goals"), file=sys.stderr)
     with Stop(options.max_hours) as stop:
         try:

@@ -14,8 +14,7 @@ import numpy as np
 from ikjax.arm.arm import Arm
 from ikjax.core.vector import Vector
 from ikjax.solvers.family import reach
-from ikjax.study.orientations import golden
-from ikjax.study.phase import tilt
+from ikjax.study.orientations import spiral
 
 
 @dataclasses.dataclass(frozen=True)
@@ -150,8 +149,7 @@ class Shell:
     def at(self, tables: tuple[Any, ...], index: tuple[Any, ...], xp, dtype) -> Vector:
         """The positions of whole numbers along each axis."""
         layer, place = index
-        share = (place.astype(dtype) + dtype.type(0.5)) / dtype.type(self.directions)
-        unit = (row[2] for row in tilt(share, golden(place, xp, dtype), xp))
+        unit = (row[2] for row in spiral(place, self.directions, 1, xp, dtype))
         return tuple(dtype.type(c) + tables[0][layer] * u for c, u in zip(self.centre, unit, strict=True))
 
     def volume(self, chosen: np.ndarray) -> float:

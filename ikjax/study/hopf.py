@@ -47,12 +47,12 @@ class Hopf:
     def at(self, tables: tuple[Any, ...], index, xp, dtype) -> Matrix:
         """The rotations of whole numbers."""
         pixel, turn = index // self.turns, index % self.turns
-        half, azimuth = self._pixel(pixel, xp, dtype)
+        half, rest, azimuth = self._pixel(pixel, xp, dtype)
         roll = turn.astype(dtype) * dtype.type(math.tau / self.turns)
-        return vector.matmul(tilt(half, azimuth, xp), about_z(roll, xp))
+        return vector.matmul(tilt(half, rest, azimuth, xp), about_z(roll, xp))
 
     def _pixel(self, pixel, xp, dtype):
-        """A pixel's direction: the square of the sine of half its polar angle, and its azimuth [rad]."""
+        """A pixel's direction: squares of the sine and cosine of half its polar angle, its azimuth [rad]."""
         n, last = self.side, 12 * self.side**2 - 1
         cap = 2 * n * (n - 1)
         # The southern cap is the northern one mirrored.
@@ -69,9 +69,9 @@ class Hopf:
         offset = xp.where(belt & ((band - n) % 2 == 1), dtype.type(0), dtype.type(0.5))
         azimuth = (place.astype(dtype) + offset) * dtype.type(math.tau / 4) / ring.astype(dtype)
         in_cap = ring.astype(dtype) ** 2 / dtype.type(6 * n**2)
-        in_cap = xp.where(south, 1 - in_cap, in_cap)
-        in_belt = (band - dtype.type(0.5 * n)).astype(dtype) / dtype.type(3 * n)
-        return xp.where(belt, in_belt, in_cap), azimuth
+        in_belt = (band.astype(dtype) - dtype.type(0.5 * n)) / dtype.type(3 * n)
+        near = xp.where(belt, in_belt, in_cap)
+        return xp.where(south, 1 - near, near), xp.where(south, near, 1 - near), azimuth
 
     def nearest(self, rotations) -> np.ndarray:
         """Indices (...) of the rotations of the grid that are nearest to rotations (..., 3, 3)."""
@@ -80,8 +80,9 @@ class Hopf:
             raise ValueError(f"rotations must have shape (..., 3, 3), got {given.shape}")
         best, index = np.full(given.shape[:-2], -np.inf), np.zeros(given.shape[:-2], np.int64)
         for pixel in self._pixels_near(given[..., :, 2]):
-            half, azimuth = self._pixel(pixel, np, np.dtype(float))
-            tilted = np.stack([np.stack(row, axis=-1) for row in tilt(half, azimuth, np)], axis=-2)
+            half, rest, azimuth = self._pixel(pixel, np, np.dtype(float))
+            rows = tilt(half, rest, azimuth, np)
+            tilted = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
             left = np.swapaxes(tilted, -1, -2) @ given
             along, across = left[..., 0, 0] + left[..., 1, 1], left[..., 1, 0] - left[..., 0, 1]
             turn = np.rint(np.arctan2(across, along) * self.turns / math.tau).astype(np.int64) % self.turns

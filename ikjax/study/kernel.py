@@ -9,7 +9,7 @@ import dataclasses
 import functools
 import time
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -23,8 +23,9 @@ from ikjax.ik.graph import holder, is_small
 from ikjax.solvers.family import solve_scalars
 from ikjax.study import spec
 from ikjax.study.orientations import Orientations
-from ikjax.study.statistics import GROUP, Goal, Lane, Plan
+from ikjax.study.statistics import GROUP, Goal, Plan
 from ikjax.study.surface import Surface
+from ikjax.study.words import JOIN, Word, added, blank, over_rolls, reduced, start, words_of
 
 POSITIONS, ORIENTATIONS = 64, 512
 """Goals in a tile: so many positions with so many orientations each."""
@@ -39,46 +40,8 @@ there is progress to show."""
 CALL = POSITIONS * BLOCKS
 """At most so many positions in one call."""
 
-WORD = 31
-"""Bits of a word of counts."""
-
 _KEPT = 8
 _compiled: dict[str, Callable] = {}
-
-
-class Word(NamedTuple):
-    """Lanes that share one loop."""
-
-    names: tuple[str, ...]
-    lanes: tuple[Lane, ...]
-    widths: tuple[int, ...]
-    """Of counts: the bits of each."""
-
-    @property
-    def reduce(self) -> str:
-        return self.lanes[0].reduce
-
-    @property
-    def held(self) -> bool:
-        return self.lanes[0].held
-
-
-def words_of(lanes: dict[str, Lane], rolls: int) -> list[Word]:
-    """The loops that lanes need."""
-    words: list[Word] = []
-    open_word: Word | None = None
-    for name, lane in lanes.items():
-        if lane.reduce != "count":
-            words.append(Word((name,), (lane,), ()))
-            continue
-        most = lane.most if lane.any_roll else lane.most * rolls
-        width = (GROUP * most).bit_length()
-        if open_word is not None and sum(open_word.widths) + width <= WORD:
-            merged = Word((*open_word.names, name), (*open_word.lanes, lane), (*open_word.widths, width))
-            words[words.index(open_word)] = open_word = merged
-        else:
-            words.append(open_word := Word((name,), (lane,), (width,)))
-    return words
 
 
 @dataclasses.dataclass
@@ -93,8 +56,10 @@ class Kernel:
     """Orientations in a tile."""
     axes: int
     """Whole numbers that say where a position is."""
+    tiles: int
+    """Of orientations in one call."""
     blocks: int = BLOCKS
-    tiles: int = TILES
+    """Of positions in one call."""
 
     @property
     def positions(self) -> int:
@@ -141,7 +106,7 @@ class Kernel:
         joined = {}
         for word in self.words:
             for name in word.names:
-                joined[name] = _JOIN[word.reduce](one[name], other[name])
+                joined[name] = JOIN[word.reduce](one[name], other[name])
         return joined
 
     def suit(self, seconds: float) -> float:
@@ -153,19 +118,10 @@ class Kernel:
                 self.compiled(self.tables, np.zeros((CALL, self.axes), np.int32), *map(np.int32, (0, 1, 1)))
             )
             times.append(time.perf_counter() - started)
-        one, tiles = min(times), -(-self.orientations // self.width)
-        self.tiles = int(np.clip(seconds / one, 1, TILES))
-        self.blocks = int(np.clip(seconds / one / min(self.tiles, tiles), 1, BLOCKS))
+        one = min(times)
+        self.tiles = int(np.clip(seconds / one, 1, self.tiles))
+        self.blocks = int(np.clip(seconds / one / self.tiles, 1, BLOCKS))
         return POSITIONS * min(self.width, self.orientations) / one
-
-
-_JOIN: dict[str, Callable] = {
-    "count": np.add,
-    "sum": np.add,
-    "max": np.maximum,
-    "min": np.minimum,
-    "bits": lambda a, b: np.concatenate([a, b], axis=1),
-}
 
 
 def kernel_of(arm: Arm, positions, orientations: Orientations, rolls: int, dtype: np.dtype, plan: Plan):
@@ -174,6 +130,7 @@ def kernel_of(arm: Arm, positions, orientations: Orientations, rolls: int, dtype
     place, turn = positions.tables(dtype), orientations.tables(dtype)
     words = words_of(plan.lanes, rolls)
     width = min(ORIENTATIONS, -(-orientations.count // GROUP) * GROUP)
+    tiles = min(TILES, -(-orientations.count // width))
     key = spec.fingerprint(
         {
             "arm": spec.of_arm(arm),
@@ -187,29 +144,30 @@ def kernel_of(arm: Arm, positions, orientations: Orientations, rolls: int, dtype
     if key not in _compiled:
         while len(_compiled) >= _KEPT:
             _compiled.pop(next(iter(_compiled)))
-        loop = functools.partial(_loop, arm, positions, orientations, rolls, dtype, words, width)
+        loop = functools.partial(_loop, arm, positions, orientations, rolls, dtype, words, (tiles, width))
         shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), (place, turn))
         index = jax.ShapeDtypeStruct((CALL, len(positions.shape)), np.int32)
         numbers = [jax.ShapeDtypeStruct((), np.int32)] * 3
         jitted = jax.jit(loop, compiler_options=wide_vectors())
         _compiled[key] = jitted.lower(shapes, index, *numbers).compile()
     tables = jax.device_put((place, turn))
-    return Kernel(_compiled[key], tables, words, orientations.count, width, len(positions.shape))
+    return Kernel(_compiled[key], tables, words, orientations.count, width, len(positions.shape), tiles)
 
 
-def _loop(arm, positions, orientations, rolls, dtype, words, width, tables, index, first, blocks, tiles):
+def _loop(arm, positions, orientations, rolls, dtype, words, size, tables, index, first, blocks, tiles):
     """Totals of every word, (CALL, k)."""
+    most, width = size
     count = orientations.count
     columns = tuple(index[:, k] for k in range(index.shape[1]))
     place = positions.at(tables[0], columns, jnp, dtype)
     frame = positions.frame_at(tables[0], columns) if isinstance(positions, Surface) else None
     places = jnp.stack([jnp.broadcast_to(x, (CALL,)) for x in (*place, *sum(frame or (), ()))])
-    turn = jnp.minimum(first, count - 1) + jnp.arange(TILES * width, dtype=jnp.int32)
-    real = (turn < count).reshape(TILES, 1, width)
+    turn = jnp.minimum(first, count - 1) + jnp.arange(most * width, dtype=jnp.int32)
+    real = (turn < count).reshape(most, 1, width)
     rows = orientations.at(tables[1], jnp.minimum(turn, count - 1), jnp, dtype)
     # As arrays that the loops below are handed: inside them it would be made again for every goal.
     table = jnp.stack([jnp.broadcast_to(x, turn.shape) for row in rows for x in row])
-    table = jnp.moveaxis(table.reshape(9, TILES, width), 1, 0)
+    table = jnp.moveaxis(table.reshape(9, most, width), 1, 0)
 
     def total(word: Word) -> jax.Array:
         deep = FEW if word.held else POSITIONS
@@ -225,12 +183,12 @@ def _loop(arm, positions, orientations, rolls, dtype, words, width, tables, inde
                 goal = Pose(rotation, tuple(here[k] for k in range(3)))
                 mask = jax.lax.dynamic_index_in_dim(real, t, keepdims=False)
                 value = _over_rolls(arm, word, goal, rolls, dtype, (deep, width))
-                return _added(word, total, _reduced(word, value, mask), t)
+                return added(word, total, reduced(word, value, mask), t)
 
-            part = jax.lax.fori_loop(0, tiles, tile, _start(word, deep, width, dtype))
+            part = jax.lax.fori_loop(0, tiles, tile, start(word, deep, most * width, dtype))
             return jax.lax.dynamic_update_slice_in_dim(whole, part, b * deep, 0)
 
-        whole = _start(word, CALL, width, dtype)
+        whole = start(word, CALL, most * width, dtype)
         return jax.lax.fori_loop(0, blocks * (POSITIONS // deep), block, whole)
 
     return tuple(map(total, words))
@@ -255,7 +213,7 @@ def _over_rolls(arm: Arm, word: Word, goal: Pose, rolls: int, dtype, shape) -> j
                 code, shift = code + (lane.value(seen) << shift), shift + width
             return code
         found = jnp.broadcast_to(word.lanes[0].value(seen), shape)
-        return found.astype(jnp.uint32) if word.reduce == "bits" else found
+        return found.astype(word.kind(dtype))
 
     if rolls == 1:
         return value(goal.rotation)
@@ -270,63 +228,6 @@ def _over_rolls(arm: Arm, word: Word, goal: Pose, rolls: int, dtype, shape) -> j
             vector.subtract(vector.scale(c, y), vector.scale(s, x)),
             z,
         )
-        return _rolled(word, total, value(vector.transpose(turned)))
+        return over_rolls(word, total, value(vector.transpose(turned)))
 
-    start = {"max": -jnp.inf, "min": jnp.inf}.get(word.reduce, 0)
-    kind = {"count": jnp.int32, "sum": jnp.int32, "bits": jnp.uint32}.get(word.reduce, dtype)
-    return jax.lax.fori_loop(0, rolls, roll, jnp.full(shape, start, kind))
-
-
-def _rolled(word: Word, total: jax.Array, value: jax.Array) -> jax.Array:
-    """Numbers of a goal at two rolls in one."""
-    if word.reduce in ("max", "min"):
-        return (jnp.maximum if word.reduce == "max" else jnp.minimum)(total, value)
-    if word.reduce == "bits":
-        return total | value
-    if word.reduce == "sum":
-        return total + value
-    added, shift = 0, 0
-    for lane, width in zip(word.lanes, word.widths, strict=True):
-        added |= 0 if lane.any_roll else ((1 << width) - 1) << shift
-        shift += width
-    counts = jnp.int32(added)
-    return ((total & counts) + (value & counts)) | ((total | value) & ~counts)
-
-
-def _reduced(word: Word, value: jax.Array, real: jax.Array) -> jax.Array:
-    """Totals of one tile, (positions, k)."""
-    if word.reduce in ("max", "min"):
-        worst = -jnp.inf if word.reduce == "max" else jnp.inf
-        value = jnp.where(real, value, worst)
-        return (value.max(-1) if word.reduce == "max" else value.min(-1))[:, None]
-    value = jnp.where(real, value, 0)
-    groups = value.reshape(value.shape[0], -1, GROUP)
-    if word.reduce == "bits":
-        return (groups << jnp.arange(GROUP, dtype=jnp.uint32)).sum(-1, dtype=jnp.uint32)
-    sums = groups.sum(-1, dtype=jnp.int32)
-    if word.reduce == "sum":
-        parts = [sums >> 16, sums & 0xFFFF]
-    else:
-        parts, shift = [], 0
-        for width in word.widths:
-            parts.append(sums >> shift & ((1 << width) - 1))
-            shift += width
-    return jnp.stack([part.sum(-1, dtype=jnp.int32) for part in parts], axis=-1)
-
-
-def _start(word: Word, rows: int, width: int, dtype) -> jax.Array:
-    if word.reduce in ("max", "min"):
-        return jnp.full((rows, 1), -jnp.inf if word.reduce == "max" else jnp.inf, dtype)
-    if word.reduce == "bits":
-        return jnp.zeros((rows, TILES * width // GROUP), jnp.uint32)
-    return jnp.zeros((rows, 2 if word.reduce == "sum" else len(word.lanes)), jnp.int32)
-
-
-def _added(word: Word, total: jax.Array, part: jax.Array, tile) -> jax.Array:
-    if word.reduce == "max":
-        return jnp.maximum(total, part)
-    if word.reduce == "min":
-        return jnp.minimum(total, part)
-    if word.reduce == "bits":
-        return jax.lax.dynamic_update_slice_in_dim(total, part, tile * part.shape[1], 1)
-    return total + part
+    return jax.lax.fori_loop(0, rolls, roll, blank(word, shape, dtype))

@@ -79,23 +79,28 @@ class Cone:
     def at(self, tables: Tables, index, xp, dtype) -> Matrix:
         """The rotations of whole numbers."""
         place, roll = index // self.rolls, index % self.rolls
-        share = (place.astype(dtype) + dtype.type(0.5)) / dtype.type(self.directions)
-        # The cap's area grows with the square of the half angle's sine, so that is what is even.
-        tilted = tilt(share * dtype.type(math.sin(self.half_angle / 2) ** 2), golden(place, xp, dtype), xp)
+        tilted = spiral(place, self.directions, math.sin(self.half_angle / 2) ** 2, xp, dtype)
         turned = vector.matmul(tilted, about_z(roll.astype(dtype) * dtype.type(math.tau / self.rolls), xp))
         return vector.matmul(_middle(self.direction), turned)
 
 
-def golden(index, xp, dtype):
-    """Azimuths of a spherical Fibonacci spiral [rad]."""
-    return angle(index, (math.sqrt(5) - 1) / 2, xp, dtype)
+def spiral(index, count: int, part: float, xp, dtype) -> Matrix:
+    """Turns z to points of a Fibonacci spiral over a part of the sphere: 1 is all of it.
+
+    A cap's area grows with the square of the sine of half its half angle, so that is what is even.
+    """
+    half, size = dtype.type(0.5), dtype.type(count)
+    near, far = (index.astype(dtype) + half) / size, ((count - 1 - index).astype(dtype) + half) / size
+    golden = angle(index, (math.sqrt(5) - 1) / 2, xp, dtype)
+    return tilt(dtype.type(part) * near, dtype.type(1 - part) + dtype.type(part) * far, golden, xp)
 
 
 def _middle(direction: tuple[float, float, float]) -> Matrix:
     """Turns z to the direction by the shortest way."""
     x, y, z = direction
-    azimuth, half = math.atan2(y, x), (1 - z) / 2 if z < 0 else (x * x + y * y) / (2 * (1 + z))
-    rows = tilt(np.float64(half), np.float64(azimuth), np)
+    small = (x * x + y * y) / (2 * (1 + abs(z)))
+    half, rest = (small, 1 - small) if z > 0 else (1 - small, small)
+    rows = tilt(half, rest, math.atan2(y, x), np)
     return tuple(tuple(float(entry) for entry in row) for row in rows)
 
 

@@ -20,16 +20,17 @@ def angle(index, turns: float, xp, dtype):
     return phase.astype(np.int32).astype(dtype) * dtype.type(math.tau / 2**32)
 
 
-def tilt(half, azimuth, xp) -> Matrix:
+def tilt(half, rest, azimuth, xp) -> Matrix:
     """Turns z towards an azimuth by the shortest way.
 
     Args:
         half: The square of the sine of half the angle turned by: 0 at the pole, 1 at the other.
+        rest: That of its cosine, which next to the other pole has digits that 1 - half has not.
         azimuth: [rad]
         xp: numpy or jax.numpy.
     """
     c, s = xp.cos(azimuth), xp.sin(azimuth)
-    sine = 2 * xp.sqrt(half * (1 - half))
+    sine = 2 * xp.sqrt(half * rest)
     return (
         (1 - 2 * half * c * c, -2 * half * c * s, sine * c),
         (-2 * half * c * s, 1 - 2 * half * s * s, sine * s),

@@ -5,10 +5,14 @@ own folder.
 
     arm = "puma560"                 # of the catalogue, or a URDF file
     spacing = 0.03                  # [m]
-    orientations = 512              # even ones; or { wxyz = [[1, 0, 0, 0], ...] }
+    orientations = 512              # even ones; or { wxyz = [[1, 0, 0, 0], ...] } or { hopf = 2 } or
+                                    # { cone = { direction = [0, 0, -1], half_angle = 0.5, directions = 64 } }
+    rolls = 8                       # turns about the tool of which one must do; 1 by default
     bounds = [[-1, -1, 0], [1, 1, 1]]          # corners [m]; by default all that is within reach
+    shell = { centre = [0, 0, 0], radii = [0.5, 0.7], directions = 500 }       # in place of spacing
+    surface = { file = "part.stl", scale = 0.001, spacing = 0.01 }             # or "points.csv"; likewise
     limits = [[-2.8, 2.8], ...]     # [rad, m]; or false for none; by default the arm's own
-    statistics = ["reachable", ...] # by default all
+    statistics = ["reachable", ...] # see `statistics`
     chunk = [32, 32, 32]            # positions of a work unit
     dtype = "float32"               # or "float64"
 """
@@ -23,10 +27,17 @@ import numpy as np
 from ikjax.arm import dh, robots
 from ikjax.arm.arm import Arm
 from ikjax.core.pose import pose
-from ikjax.study.goals import Grid, around, grid
+from ikjax.study.goals import Grid, Shell, around, grid, shell
+from ikjax.study.hopf import hopf
+from ikjax.study.orientations import cone
 from ikjax.study.statistics import USUAL as STATISTICS
+from ikjax.study.statistics import available
+from ikjax.study.surface import Surface, surface
 
-KEYS = ("arm", "spacing", "orientations", "bounds", "limits", "statistics", "chunk", "dtype")
+KEYS = (
+    *("arm", "spacing", "orientations", "rolls", "bounds", "shell", "surface"),
+    *("limits", "statistics", "chunk", "dtype"),
+)
 LARGEST = 2**24
 """Bytes of a file."""
 
@@ -35,8 +46,9 @@ class Recipe(NamedTuple):
     """Arguments of a sweep."""
 
     arm: Arm
-    positions: Grid
+    positions: Grid | Shell | Surface
     orientations: Any
+    rolls: int
     statistics: tuple[str, ...]
     chunk: tuple[int, ...] | None
     dtype: str
@@ -74,31 +86,70 @@ def _understood(said: dict, folder: pathlib.Path) -> Recipe:
     for key in said:
         if key not in KEYS:
             raise ValueError(f"no key {key!r}; the keys are {', '.join(KEYS)}")
-    for key in ("arm", "spacing", "orientations"):
+    for key in ("arm", "orientations"):
         if key not in said:
             raise ValueError(f"{key} is missing")
     if not isinstance(said["arm"], str):
         raise ValueError(f'arm must be a name or a file, as in "puma560", got {said["arm"]!r}')
     arm = _limited(find_arm(said["arm"], folder), said.get("limits"))
-    spacing = said["spacing"]
-    if not _is_number(spacing):
-        raise ValueError(f"spacing must be a number of metres, got {spacing!r}")
-    if "bounds" in said:
-        lower, upper = _numbers("bounds", said["bounds"], (2, 3))
-        positions = grid(lower, upper, spacing)
-    else:
-        positions = around(arm, spacing)
-    statistics = said.get("statistics", list(STATISTICS))
-    if not isinstance(statistics, list) or not all(name in STATISTICS for name in statistics):
-        raise ValueError(f"statistics must be a list of {', '.join(STATISTICS)}, got {statistics!r}")
+    positions = _positions(said, arm, folder)
+    statistics, known = said.get("statistics", list(STATISTICS)), available(arm)
+    if not isinstance(statistics, list) or not all(name in known for name in statistics) or not statistics:
+        raise ValueError(f"statistics must be a list of {', '.join(known)}, got {statistics!r}")
+    rolls = said.get("rolls", 1)
+    if not _is_count(rolls):
+        raise ValueError(f"rolls must be a whole number above zero, got {rolls!r}")
     dtype = said.get("dtype", "float32")
     if dtype not in ("float32", "float64"):
         raise ValueError(f'dtype must be "float32" or "float64", got {dtype!r}')
     chunk = said.get("chunk")
-    if chunk is not None and not (isinstance(chunk, list) and len(chunk) == 3 and all(map(_is_count, chunk))):
-        raise ValueError(f"chunk must be three whole numbers above zero, got {chunk!r}")
+    axes = len(positions.shape)
+    if chunk is not None and not (
+        isinstance(chunk, list) and len(chunk) == axes and all(map(_is_count, chunk))
+    ):
+        raise ValueError(f"chunk must be {axes} whole numbers above zero, got {chunk!r}")
     chunk = None if chunk is None else tuple(chunk)
-    return Recipe(arm, positions, _orientations(said["orientations"]), tuple(statistics), chunk, dtype)
+    return Recipe(arm, positions, _orientations(said["orientations"]), rolls, tuple(statistics), chunk, dtype)
+
+
+def _positions(said: dict, arm: Arm, folder: pathlib.Path) -> Grid | Shell | Surface:
+    given = [key for key in ("spacing", "shell", "surface") if key in said]
+    if len(given) != 1:
+        raise ValueError(f"one of spacing, shell and surface is wanted, got {', '.join(given) or 'none'}")
+    if "bounds" in said and given != ["spacing"]:
+        raise ValueError(f"bounds go with spacing, not with {given[0]}")
+    if given == ["shell"]:
+        kinds = {"centre": (3,), "radii": None, "directions": _is_count}
+        table = _table("shell", said["shell"], kinds, needs=("centre", "radii", "directions"))
+        return shell(table["centre"], table["radii"], table["directions"])
+    if given == ["surface"]:
+        kinds = {"file": _is_text, "scale": _is_number, "spacing": _is_number}
+        table = _table("surface", said["surface"], kinds, needs=("file",))
+        return surface(folder / table.pop("file"), **table)
+    spacing = said["spacing"]
+    if not _is_number(spacing):
+        raise ValueError(f"spacing must be a number of metres, got {spacing!r}")
+    if "bounds" not in said:
+        return around(arm, spacing)
+    lower, upper = _numbers("bounds", said["bounds"], (2, 3))
+    return grid(lower, upper, spacing)
+
+
+def _table(name: str, said, kinds: dict[str, Any], needs: tuple[str, ...]) -> dict[str, Any]:
+    """A table's entries; a kind is what tells a good value, or the shape of an array, None for any."""
+    if not isinstance(said, dict) or not set(needs) <= said.keys() <= kinds.keys():
+        raise ValueError(f"{name} must have the keys {', '.join(kinds)}, got {said!r}")
+    found = {}
+    for key, value in said.items():
+        kind = kinds[key]
+        if callable(kind):
+            if not kind(value):
+                raise ValueError(f"{name}.{key} is of the wrong kind: {value!r}")
+            found[key] = value
+        else:
+            shape = (len(value) if isinstance(value, list) else 1,) if kind is None else kind
+            found[key] = _numbers(f"{name}.{key}", value, shape)
+    return found
 
 
 def _limited(arm: Arm, limits) -> Arm:
@@ -118,9 +169,19 @@ def _orientations(said) -> Any:
         rows = said["wxyz"]
         wxyz = _numbers("orientations.wxyz", rows, (len(rows) if isinstance(rows, list) else 1, 4))
         return np.asarray(pose(np.zeros((len(wxyz), 3)), wxyz=wxyz))[:, :3, :3]
+    if isinstance(said, dict) and list(said) == ["hopf"]:
+        return hopf(said["hopf"])
+    if isinstance(said, dict) and list(said) == ["cone"]:
+        kinds = {"direction": (3,), "half_angle": _is_number, "directions": _is_count, "rolls": _is_count}
+        return cone(**_table("orientations.cone", said["cone"], kinds, needs=tuple(kinds)[:3]))
     raise ValueError(
-        f"orientations must be a whole number above zero or {{ wxyz = [[1, 0, 0, 0]] }}, got {said!r}"
+        f"orientations must be a whole number above zero or a table such as {{ wxyz = [[1, 0, 0, 0]] }}, "
+        f"{{ hopf = 2 }} or {{ cone = {{ ... }} }}, got {said!r}"
     )
+
+
+def _is_text(value) -> bool:
+    return isinstance(value, str)
 
 
 def _is_number(value) -> bool:

@@ -17,6 +17,9 @@ from ikjax.core.vector import Matrix, Vector
 LARGEST = 2**30
 """Bytes of a file."""
 
+MOST = 10**8
+"""Points that a mesh is cut into."""
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Surface:
@@ -82,24 +85,29 @@ class Surface:
         return f"{self.count:,} points of a surface"
 
 
-def surface(points, normals=None) -> Surface:
+def surface(points, normals=None, *, scale: float = 1.0, spacing: float | None = None) -> Surface:
     """Points for a reach study.
 
     Args:
         points: (n, 3) [m]; or a file: `.csv` of three columns, or of six with normals, `#` before what is
             no number; or `.stl`, whose triangles give their middles and normals.
         normals: (n, 3) of any length but zero, pointing out of the part.
+        scale: Metres in a unit of the points: 0.001 for a file in millimetres.
+        spacing: Triangles are cut into equal ones until no edge is longer [m].
 
     Raises:
         ValueError: Wrong shapes, numbers that are not finite, normals of no length, a file that is none
             of these.
         OSError: No such file.
     """
+    for name, number in (("scale", scale), ("spacing", spacing)):
+        if number is not None and not 0 < number < np.inf:
+            raise ValueError(f"{name} must be a positive number, got {number}")
     if isinstance(points, str | pathlib.Path):
         if normals is not None:
             raise ValueError("normals come from the file, or with an array of points")
-        points, normals = _read(pathlib.Path(points))
-    xyz = np.array(points, float)
+        points, normals = _read(pathlib.Path(points), np.inf if spacing is None else spacing / scale)
+    xyz = np.array(points, float) * scale
     if xyz.ndim != 2 or xyz.shape[1:] != (3,) or len(xyz) == 0:
         raise ValueError(f"points must have shape (n, 3), got {xyz.shape}")
     if not np.isfinite(xyz).all():
@@ -130,7 +138,7 @@ def _frames(z: np.ndarray) -> np.ndarray:
     return np.stack([x, y, z], axis=-1)
 
 
-def _read(path: pathlib.Path) -> tuple[np.ndarray, np.ndarray | None]:
+def _read(path: pathlib.Path, longest: float) -> tuple[np.ndarray, np.ndarray | None]:
     kind = path.suffix.lower()
     if kind not in (".csv", ".stl"):
         raise ValueError(f"{path}: points are read from .csv and .stl")
@@ -147,12 +155,34 @@ def _read(path: pathlib.Path) -> tuple[np.ndarray, np.ndarray | None]:
     flat = ~(size > 0)
     if flat.all():
         raise ValueError(f"{path}: no triangle has an area")
-    return triangles[~flat].mean(1), normals[~flat]
+    triangles, normals = triangles[~flat], normals[~flat]
+    parts = np.ceil(np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=2).max(1) / longest)
+    parts = np.maximum(parts, 1)
+    if (parts**2).sum() > MOST:
+        raise ValueError(f"{path}: spacing asks for {(parts**2).sum():.2g} points, more than {MOST:,}")
+    pieces = [
+        (middles @ triangles[parts == n], normals[parts == n], middles)
+        for n in np.unique(parts)
+        for middles in [_middles(int(n))]
+    ]
+    points = np.concatenate([found.reshape(-1, 3) for found, _, _ in pieces])
+    return points, np.concatenate([np.repeat(n, len(middles), axis=0) for _, n, middles in pieces])
+
+
+def _middles(n: int) -> np.ndarray:
+    """Of n * n equal parts of a triangle, as weights (n * n, 3) of its corners."""
+    i, j = np.indices((n, n)).reshape(2, -1)
+    upright, inverted = i + j < n, i + j < n - 1
+    first = np.stack([i, j], axis=-1) + 1 / 3
+    second = np.stack([i, j], axis=-1) + 2 / 3
+    two = np.concatenate([first[upright], second[inverted]]) / n
+    return np.concatenate([two, 1 - two.sum(1, keepdims=True)], axis=1)
 
 
 def _read_table(path: pathlib.Path, data: bytes) -> tuple[np.ndarray, np.ndarray | None]:
     try:
-        rows = np.loadtxt(data.decode().splitlines(), delimiter=",", ndmin=2)
+        lines = [line for line in data.decode().splitlines() if line.partition("#")[0].strip()]
+        rows = np.loadtxt(lines, delimiter=",", ndmin=2) if lines else np.empty((0, 0))
     except ValueError as error:
         raise ValueError(f"{path}: no table of numbers: {error}") from error
     if rows.size == 0 or rows.shape[1] not in (3, 6):
