@@ -11,6 +11,7 @@ from ikjax.ik.solutions import Solutions
 from ikjax.ik.solve import solve
 from ikjax.study.goals import Grid, Shell, around, grid, shell
 from ikjax.study.hopf import Hopf, hopf
+from ikjax.study.measures import Measure
 from ikjax.study.orientations import Cone, cone, even_rotations
 from ikjax.study.reach import ReachMap
 from ikjax.study.surface import Surface, surface

@@ -22,8 +22,9 @@ from ikjax.ik.blocks import wide_vectors
 from ikjax.ik.graph import holder, is_small
 from ikjax.solvers.family import solve_scalars
 from ikjax.study import spec
+from ikjax.study.goal import GROUP, Goal
 from ikjax.study.orientations import Orientations
-from ikjax.study.statistics import GROUP, Goal, Plan
+from ikjax.study.statistics import Plan
 from ikjax.study.surface import Surface
 from ikjax.study.words import JOIN, Word, added, blank, over_rolls, reduced, start, words_of
 
@@ -138,7 +139,7 @@ def kernel_of(arm: Arm, positions, orientations: Orientations, rolls: int, dtype
             "shapes": [x.shape for x in (*place, *turn)],
             "rolls": rolls,
             "dtype": dtype.name,
-            "statistics": {name: dict(s.facts) for name, s in plan.statistics.items()},
+            "statistics": plan.told(),
         }
     )
     if key not in _compiled:
@@ -205,7 +206,7 @@ def _over_rolls(arm: Arm, word: Word, goal: Pose, rolls: int, dtype, shape) -> j
         held = word.held or not is_small(arm)
         hold = holder(jnp.broadcast_to(rotation[0][0] + goal.position[0], shape)) if held else None
         slots = solve_scalars(arm, Pose(rotation, goal.position), hold=hold)
-        seen = Goal(arm, slots, hold or (lambda x: x))
+        seen = Goal(arm, slots, hold or (lambda x: x), shape)
         if word.reduce == "count":
             code = jnp.zeros(shape, jnp.int32)
             shift = 0

@@ -49,6 +49,31 @@ def within(arm: Arm, slot: Slot) -> jax.Array:
     return inside
 
 
+def distance(arm: Arm, slot: Slot) -> jax.Array:
+    """How far the joint that is nearest to a limit is from it, as a share of half its range.
+
+    1 is the middle, 0 at the limit, negative beyond it; a turning joint is taken at the turn nearest
+    to the middle, and one without limits is left out. Without any limit it is 1.
+
+    Args:
+        arm: A baked arm.
+        slot: One of its slots.
+    """
+    least = jnp.ones_like(slot.margin)
+    for kind, value, (lower, upper) in zip(arm.kinds, slot.q, arm.limits.tolist(), strict=True):
+        if not (math.isfinite(lower) and math.isfinite(upper)):
+            near = value - lower if math.isfinite(lower) else upper - value if math.isfinite(upper) else None
+            if near is not None:  # one limit alone: a range of two radians or metres
+                least = jnp.minimum(least, near)
+            continue
+        away = value - (lower + upper) / 2
+        if kind == "R":
+            away = away - 2 * math.pi * jnp.round(away / (2 * math.pi))
+        half = max((upper - lower) / 2, float(jnp.finfo(arm.dtype).tiny))
+        least = jnp.minimum(least, 1 - jnp.abs(away) / half)
+    return least
+
+
 def _by_value(arm: Arm, slot: Slot) -> jax.Array:
     """The same for coupled joints, whose limits are those of the motors."""
     slack = 8 * float(jnp.finfo(arm.dtype).eps)

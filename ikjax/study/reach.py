@@ -52,6 +52,8 @@ class ReachMap:
     """Turns about the tool's z axis of which one has to be reached; 1 where it must not turn."""
     dtype: str
     """Floating type of the kernel that made it."""
+    told: Mapping[str, dict[str, Any]]
+    """What the spec says of each statistic: "axes" are those after the positions'."""
     arrays: Mapping[str, Any]
     """The statistics by name, each (*grid.shape, ...): numpy arrays, or stored ones that are read when
     indexed."""
@@ -207,16 +209,12 @@ class ReachMap:
         except ImportError as error:
             raise ImportError("to_xarray needs xarray: pip install 'ikjax[xarray]'") from error
         coords = {name: (axes, array) for name, (array, axes) in self.grid.named().items()}
-        table = self._statistics()
         values = {
-            name: ((*self.grid.axes, *(axis for axis, _ in table[name].more)), value)
+            name: ((*self.grid.axes, *self.told[name]["axes"]), value)
             for name, value in self.to_numpy().items()
         }
         facts = {"arm": self.arm.name, "orientations": self.orientations, "dtype": self.dtype}
         return xarray.Dataset(values, coords=coords, attrs={**facts, "ikjax_schema": spec.SCHEMA})
-
-    def _statistics(self) -> dict[str, statistics.Statistic]:
-        return statistics.plan(self.arm, self.arrays, self.orientations).statistics
 
     def save(self, out, *, chunk=None) -> None:
         """Write the map as a zarr v3 group; see `store`.
@@ -229,9 +227,7 @@ class ReachMap:
             FileExistsError: Something else than a finished map is there.
         """
         fixed = layout.fixed(self.grid, self.directions)
-        study = spec.of_study(
-            self.arm, self.grid, self.directions, self.rolls, self.dtype, self._statistics(), fixed
-        )
+        study = spec.of_study(self.arm, self.grid, self.directions, self.rolls, self.dtype, self.told, fixed)
         chunk = layout.default_chunk(self.grid.shape, self.orientations) if chunk is None else tuple(chunk)
         head = layout.Head(study, spec.of_arm(self.arm), chunk, "sweeping", 0.0)
         place, values = Place(out), self.to_numpy()
@@ -262,6 +258,7 @@ class ReachMap:
             directions=orientations_from(head.spec["orientations"], known.get("rotations")),
             rolls=head.spec["rolls"],
             dtype=head.spec["dtype"],
+            told=head.spec["statistics"],
             arrays={name: arrays[name] for name in head.names},
             seconds=head.seconds,
         )

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from ikjax.arm.arm import Arm
-from ikjax.study.statistics import Statistic
 
 SCHEMA = 3
 """Version of a map's layout; a reader refuses any other."""
@@ -30,7 +29,7 @@ def of_study(
     orientations,
     rolls: int,
     dtype: str,
-    statistics: Mapping[str, Statistic],
+    statistics: Mapping[str, dict[str, Any]],
     fixed: Fixed,
 ) -> dict:
     """Everything that a map's numbers depend on. The size of its chunks is not among it."""
@@ -44,15 +43,7 @@ def of_study(
         "orientations": {**of_set(orientations), "count": orientations.count},
         "rolls": rolls,
         "dtype": dtype,
-        "statistics": {
-            name: {
-                "dtype": statistic.dtype,
-                "axes": [name for name, _ in statistic.more],
-                "shape": [size for _, size in statistic.more],
-                **statistic.facts,
-            }
-            for name, statistic in statistics.items()
-        },
+        "statistics": statistics,
         "fixed": {
             name: {"shape": array.shape, "axes": axes, "sha256": hash_of(array)}
             for name, (array, axes) in fixed.items()

@@ -12,7 +12,8 @@ Every name but `best_limit_distance` has a twin with `_within`, for solutions wi
     best_margin                       greatest margin [m]; without limits over all slots, valid or not
     best_, mean_manipulability        |det J| in reaches, over solutions; 0 without one
     best_, mean_sigma_min             least singular value of J in reaches, likewise
-    best_limit_distance               from the nearest limit, as a share of half the range; see `limits`
+    best_limit_distance               of the joint nearest to its limit, 1 in the middle, 0 at the limit,
+                                      negative beyond it; -inf without a solution
 """
 
 import functools
@@ -24,43 +25,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from ikjax.arm.arm import Arm
-from ikjax.solvers.family import Slot
-from ikjax.study.limits import within
-
-GROUP = 32
-"""Goals that are added up in 32 bits before anything else happens to them."""
+from ikjax.study import measures
+from ikjax.study.goal import GROUP, Goal, Lane
+from ikjax.study.measures import Measure
 
 USUAL = ("reachable", "solutions", "reachable_within", "solutions_within", "best_margin")
 """What a sweep keeps if nothing is said."""
-
-
-class Goal(NamedTuple):
-    """What a lane sees: arrays (positions, orientations) in the place of scalars."""
-
-    arm: Arm
-    slots: tuple[Slot, ...]
-    hold: Callable[[Any], Any]
-    """Keeps a value from being computed again; see `ik.graph`."""
-
-    def flags(self, inside: bool) -> list[jax.Array]:
-        """Which slots count."""
-        if not inside:
-            return [slot.valid for slot in self.slots]
-        return [slot.valid & within(self.arm, slot) for slot in self.slots]
-
-
-class Lane(NamedTuple):
-    """One number of every goal on its way into a statistic."""
-
-    reduce: str
-    """"count" (whole numbers, several of which share a word), "sum" (whole numbers), "max", "min", "bits"."""
-    value: Callable[[Goal], jax.Array]
-    most: int = 1
-    """Of a count: the greatest number of one goal."""
-    any_roll: bool = False
-    """Of a count: over free rolls it is a yes or no, and not a sum."""
-    held: bool = False
-    """Needs joints, not only masks: the kernel keeps its values instead of computing them again."""
 
 
 class Statistic(NamedTuple):
@@ -76,6 +46,11 @@ class Statistic(NamedTuple):
     facts: Mapping[str, Any] = {}
     """What else tells it from another of its name, for the spec."""
 
+    def told(self) -> dict[str, Any]:
+        """What the spec says of it."""
+        axes, shape = [name for name, _ in self.more], [size for _, size in self.more]
+        return {"dtype": self.dtype, "axes": axes, "shape": shape, **self.facts}
+
 
 class Plan(NamedTuple):
     """Statistics by name, and the lanes that they need."""
@@ -83,31 +58,48 @@ class Plan(NamedTuple):
     statistics: dict[str, Statistic]
     lanes: dict[str, Lane]
 
+    def told(self) -> dict[str, dict[str, Any]]:
+        """What the spec says of each."""
+        return {name: statistic.told() for name, statistic in self.statistics.items()}
 
-def plan(arm: Arm, names: Iterable[str], orientations: int) -> Plan:
-    """The statistics of given names.
+
+def plan(arm: Arm, wanted: Iterable[str | Measure], orientations: int, rolls: int = 1) -> Plan:
+    """The statistics of given names, and one's own.
 
     Raises:
         ValueError: A name that is none, or one twice, or no name at all.
     """
-    names, known = list(names), available(arm)
-    wrong = [name for name in names if name not in known]
+    given, known = list(wanted), available(arm)
+    names = [each.name if isinstance(each, Measure) else str(each) for each in given]
+    wrong = [name for name, each in zip(names, given, strict=True) if (name in known) == (each is not name)]
     if wrong or not names or len(set(names)) < len(names):
         raise ValueError(f"statistics must be some of {', '.join(known)}, got {', '.join(names) or 'none'}")
-    built = {name: _build(arm, name, orientations) for name in names}
+    built = {
+        name: _own(arm, each, rolls) if isinstance(each, Measure) else _build(arm, name, orientations, rolls)
+        for name, each in zip(names, given, strict=True)
+    }
     lanes = {key: lane for statistic, given in built.values() for key, lane in given.items()}
     return Plan({name: statistic for name, (statistic, _) in built.items()}, lanes)
 
 
 def available(arm: Arm) -> list[str]:
     """Names of statistics."""
-    return [name + end for name in _TWINS for end in ("", "_within")]
+    return [*(name + end for name in _TWINS for end in ("", "_within")), "best_limit_distance"]
 
 
-_TWINS = ("reachable", "solutions", "branches", "mask", "best_margin")
+_TWINS = (
+    *("reachable", "solutions", "branches", "mask", "best_margin"),
+    *("best_manipulability", "mean_manipulability", "best_sigma_min", "mean_sigma_min"),
+)
 
 
-def _build(arm: Arm, name: str, orientations: int) -> tuple[Statistic, dict[str, Lane]]:
+def _own(arm: Arm, measure: Measure, rolls: int) -> tuple[Statistic, dict[str, Lane]]:
+    lanes = measure.lanes(arm, rolls)
+    kind = "float64" if measure.reduce == "sum" else arm.dtype.name
+    return Statistic(kind, tuple(lanes), measure.finish, facts=measure.facts(arm)), lanes
+
+
+def _build(arm: Arm, name: str, orientations: int, rolls: int) -> tuple[Statistic, dict[str, Lane]]:
     base = name.removesuffix("_within")
     inside = base != name
     slots = len(arm.branches)
@@ -127,8 +119,27 @@ def _build(arm: Arm, name: str, orientations: int) -> tuple[Statistic, dict[str,
         lane = Lane("bits", lambda goal: _any(goal.flags(inside)))
         words = -(-orientations // GROUP)
         return Statistic("uint32", (name,), lambda total: total[:, :words], (("word", words),)), {name: lane}
-    lane = Lane("max", functools.partial(_margin, inside=inside))
-    return Statistic("float32", (name,), _column), {name: lane}
+    if base == "best_margin":
+        lane = Lane("max", functools.partial(_margin, inside=inside))
+        return Statistic("float32", (name,), _column), {name: lane}
+    if base == "best_limit_distance":
+        lane = Lane("max", measures.best_limit_distance, held=True)
+        return Statistic("float32", (name,), _column), {name: lane}
+    kind, _, what = base.partition("_")
+    if kind == "best":
+        lane = Lane("max", functools.partial(measures.best, what=what, inside=inside), held=True)
+        return Statistic("float32", (name,), _column), {name: lane}
+    unit = measures.unit_of_mean(slots, rolls)
+    lane = Lane("sum", functools.partial(measures.total, what=what, inside=inside, unit=unit), held=True)
+    number = f"solutions{'_within' if inside else ''}"
+    lanes = {name: lane} | _build(arm, number, orientations, rolls)[1]
+    return Statistic(
+        "float32", tuple(lanes), functools.partial(_mean, unit=unit), facts={"unit": unit}
+    ), lanes
+
+
+def _mean(total: np.ndarray, number: np.ndarray, unit: float) -> np.ndarray:
+    return (total[:, 0] * unit / np.maximum(number[:, 0], 1)).astype(np.float32)
 
 
 def _branch(goal: Goal, k: int, inside: bool) -> jax.Array:

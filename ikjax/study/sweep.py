@@ -17,6 +17,7 @@ from ikjax.study import layout, log, spec, statistics, store
 from ikjax.study.goals import Grid, Shell
 from ikjax.study.kernel import Kernel, kernel_of
 from ikjax.study.lock import Lock
+from ikjax.study.measures import Measure
 from ikjax.study.orientations import Orientations, as_orientations
 from ikjax.study.place import Place
 from ikjax.study.reach import ReachMap, Units
@@ -38,7 +39,7 @@ def sweep(
     *,
     rolls: int = 1,
     dtype=None,
-    statistics: Iterable[str] = statistics.USUAL,
+    statistics: Iterable[str | Measure] = statistics.USUAL,
     out=None,
     resume: bool = False,
     chunk=None,
@@ -56,7 +57,8 @@ def sweep(
         rolls: Where the tool may turn about its own z axis: so many turns of each orientation are tried, and
             it counts as reached if one of them is. Solutions are then those of all turns.
         dtype: float32 or float64 of the kernel; by default the arm's.
-        statistics: Which to keep, by name: see `study.statistics`. What is not asked for is not computed.
+        statistics: Which to keep, by name or as `ikjax.Measure(...)`: see `study.statistics`. What is not
+            asked for is not computed.
         out: A folder, or a URL that tensorstore knows, where the map is stored unit by unit. A finished
             map there is replaced, an unfinished one only gone on with.
         resume: Go on with what is at `out`: what cannot be read is computed. Start if nothing is there.
@@ -79,7 +81,7 @@ def sweep(
     turns = as_orientations(orientations)
     plan = _plan(arm, statistics, turns, rolls)
     fixed = layout.fixed(positions, turns)
-    study = spec.of_study(arm, positions, turns, rolls, dtype.name, plan.statistics, fixed)
+    study = spec.of_study(arm, positions, turns, rolls, dtype.name, plan.told(), fixed)
     kernel = kernel_of(arm, positions, turns, rolls, dtype, plan)
     wanted = _chunk(chunk, positions.shape, turns.count, kernel)
     head = layout.Head(study, spec.of_arm(arm), wanted, "sweeping", 0.0)
@@ -90,7 +92,7 @@ def sweep(
     if out is None:
         memory = _Memory(head, plan)
         seconds = work(memory, list(range(len(memory.units))), log.Log(None))
-        return ReachMap(arm, positions, turns, rolls, dtype.name, memory.arrays, seconds)
+        return ReachMap(arm, positions, turns, rolls, dtype.name, plan.told(), memory.arrays, seconds)
     place = Place(out)
     with Lock(place), log.Log(place.folder) as diary:
         disk = store.begin(place, head, fixed, resume=resume, chunk_given=chunk is not None)
@@ -126,12 +128,13 @@ def _checked(arm: Arm, positions, rolls: int, dtype) -> np.dtype:
     return dtype
 
 
-def _plan(arm: Arm, names: Iterable[str], turns: Orientations, rolls: int) -> statistics.Plan:
+def _plan(arm: Arm, names: Iterable[str | Measure], turns: Orientations, rolls: int) -> statistics.Plan:
     # Solutions of a position are counted in 31 bits.
     most = turns.count * rolls * len(arm.branches)
     if most >= 2**31:
         raise ValueError(f"orientations x rolls x branches must be below 2^31, got {most:,}")
-    return statistics.plan(arm, [names] if isinstance(names, str) else names, turns.count)
+    given = [names] if isinstance(names, str | Measure) else names
+    return statistics.plan(arm, given, turns.count, rolls)
 
 
 def _chunk(chunk, shape: tuple[int, ...], orientations: int, kernel: Kernel) -> tuple[int, ...]:

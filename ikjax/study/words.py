@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ikjax.study.statistics import GROUP, Lane
+from ikjax.study.goal import GROUP, Lane
 
 WORD = 31
 """Bits of a word of counts."""
@@ -41,8 +41,9 @@ class Word(NamedTuple):
 def words_of(lanes: dict[str, Lane], rolls: int) -> list[Word]:
     """The loops that lanes need."""
     words: list[Word] = []
-    open_word: Word | None = None
+    open_words: dict[bool, Word] = {}
     for name, lane in lanes.items():
+        open_word = open_words.get(lane.held)
         if lane.reduce != "count":
             words.append(Word((name,), (lane,), ()))
             continue
@@ -50,9 +51,10 @@ def words_of(lanes: dict[str, Lane], rolls: int) -> list[Word]:
         width = (GROUP * most).bit_length()
         if open_word is not None and sum(open_word.widths) + width <= WORD:
             merged = Word((*open_word.names, name), (*open_word.lanes, lane), (*open_word.widths, width))
-            words[words.index(open_word)] = open_word = merged
+            words[words.index(open_word)] = open_words[lane.held] = merged
         else:
-            words.append(open_word := Word((name,), (lane,), (width,)))
+            words.append(Word((name,), (lane,), (width,)))
+            open_words[lane.held] = words[-1]
     return words
 
 

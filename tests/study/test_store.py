@@ -310,7 +310,7 @@ def test_an_arm_in_a_map_keeps_its_coupling_and_correction(tmp_path, rng):
 def test_a_spec_does_not_depend_on_the_type_that_an_arm_comes_in():
     arm = ikjax.robots.puma560()
     around, turns = ikjax.around(arm, 1), Listed(np.eye(3)[None])
-    kept = plan(arm, USUAL, 1).statistics
+    kept = plan(arm, USUAL, 1).told()
     rest = around, turns, 1, "float32", kept, layout.fixed(around, turns)
     spec = specs.of_study(arm, *rest)
     assert spec == specs.of_study(arm.astype(np.float32), *rest) and spec["arm"]["a"][1] == 0.4318
