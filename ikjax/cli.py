@@ -22,7 +22,7 @@ import ikjax
 from ikjax.study import compare, recipe
 from ikjax.study.orientations import as_orientations
 from ikjax.study.place import Place, StorageError
-from ikjax.study.stop import TIME_IS_UP, Stop
+from ikjax.study.stop import OTHERS_ENDED, TIME_IS_UP, Stop
 from ikjax.study.sweep import SweepStoppedError
 
 
@@ -106,6 +106,10 @@ def _parser() -> argparse.ArgumentParser:
     sweep.add_argument("--out", help="store the map here: a folder (zarr v3), or a URL such as s3://...")
     sweep.add_argument("--resume", action="store_true", help="go on with what is at --out, or start")
     sweep.add_argument("--max-hours", type=_size, help="stop at the end of a unit after so long")
+    sweep.add_argument("--distributed", action="store_true", help="share the units with other processes")
+    sweep.add_argument("--coordinator", metavar="HOST:PORT", help="where jax does not find it by itself")
+    sweep.add_argument("--processes", type=int, metavar="N", help="likewise; and --process, 0 to N - 1")
+    sweep.add_argument("--process", type=int, metavar="I", help=argparse.SUPPRESS)
     sweep.add_argument("--compare", metavar="MAP", help="an earlier map to compare with")
     sweep.add_argument("--picture", help="write a PNG here")
     _add_dtype(sweep, "--float64")
@@ -131,6 +135,7 @@ Beside a map in a folder lies its diary, MAP.log. Exit codes:
   2    bad input, a map of another study, another writer at work
   3    the map cannot be written; the units before that are whole
   {TIME_IS_UP}    --max-hours are over; go on with --resume
+  {OTHERS_ENDED}    another process of --distributed ended early; go on with --resume
   130  stopped by SIGINT (Ctrl-C), 143 by SIGTERM; go on with --resume
 """
 
@@ -261,7 +266,25 @@ def _study(options) -> recipe.Recipe:
     return recipe.Recipe(arm, positions, orientations, 1, recipe.STATISTICS, None, dtype)
 
 
+def _join(options) -> None:
+    """Become one of several processes, before jax computes anything."""
+    explicit = (options.coordinator, options.processes, options.process)
+    if not options.distributed:
+        if any(given is not None for given in explicit):
+            raise ValueError("--coordinator, --processes and --process go with --distributed")
+        return
+    if not options.out:
+        raise ValueError("--distributed needs --out, a place that all processes can write to")
+    if any(given is None for given in explicit) and any(given is not None for given in explicit):
+        raise ValueError("--coordinator, --processes and --process go together")
+    try:
+        jax.distributed.initialize(*explicit)
+    except RuntimeError as error:
+        raise ValueError(f"--distributed: {error}") from error
+
+
 def _sweep(options) -> int:
+    _join(options)
     study = _study(options)
     _check_places(options)
     if options.resume and not options.out:
@@ -272,7 +295,8 @@ def _sweep(options) -> int:
     positions = math.prod(study.positions.shape)
     if positions >= 2**31:
         raise ValueError(f"--spacing asks for {positions:.2g} positions, 2^31 or more")
-    if not options.json:
+    leads = jax.process_index() == 0
+    if leads and not options.json:
         count = as_orientations(study.orientations).count
         print(_plain(f"sweeping {study.arm.name}: {positions * count:,} goals"), file=sys.stderr)
     with Stop(options.max_hours) as stop:
@@ -281,16 +305,16 @@ def _sweep(options) -> int:
                 **study._asdict(),
                 out=options.out,
                 resume=options.resume,
-                progress=not options.json,
+                progress=leads and not options.json,
                 stop=stop,
             )
         except SweepStoppedError as stopped:
             _complain(stopped)
-            return stop.code
+            return stop.code or OTHERS_ENDED
         except StorageError as error:
             _complain(error)
             return 3
-    return _report(options, reach, earlier)
+    return _report(options, reach, earlier) if leads else 0
 
 
 def _show(options) -> int:

@@ -14,6 +14,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from ikjax.arm.arm import Arm
 from ikjax.core import vector
@@ -59,13 +60,18 @@ class Kernel:
     """Whole numbers that say where a position is."""
     tiles: int
     """Of orientations in one call."""
+    devices: int
     blocks: int = BLOCKS
-    """Of positions in one call."""
+    """Of positions on each device in one call."""
 
     @property
     def positions(self) -> int:
         """In one call."""
-        return POSITIONS * self.blocks
+        return POSITIONS * self.blocks * self.devices
+
+    def _share(self, count: int) -> int:
+        """Of so many positions, those on each device: whole blocks."""
+        return -(-count // (POSITIONS * self.devices)) * POSITIONS
 
     def firsts(self) -> range:
         """The first orientation of each call for the same positions."""
@@ -78,18 +84,22 @@ class Kernel:
             index: (n, axes) places of at most `positions` positions.
             first: From `firsts`.
         """
-        full = np.zeros((CALL, self.axes), np.int32)
-        full[: len(index)] = index
-        blocks = np.int32(-(-len(index) // POSITIONS))
+        share = self._share(len(index))
+        full = np.zeros((self.devices, CALL, self.axes), np.int32)
+        for device in range(self.devices):
+            part = index[device * share : (device + 1) * share]
+            full[device, : len(part)] = part
+        blocks = np.int32(share // POSITIONS)
         left = -(-(self.orientations - first) // self.width)
         tiles = np.int32(min(self.tiles, left))
-        return self.compiled(self.tables, full, np.int32(first), blocks, tiles)
+        return self.compiled(self.tables, full.reshape(-1, self.axes), np.int32(first), blocks, tiles)
 
     def fetched(self, result: tuple[jax.Array, ...], count: int, first: int) -> dict[str, np.ndarray]:
         """Totals of each lane, (count, k), of a call that is done."""
         totals: dict[str, np.ndarray] = {}
         for word, array in zip(self.words, jax.device_get(result), strict=True):
-            rows = np.asarray(array)[:count]
+            rows = np.asarray(array).reshape(self.devices, CALL, -1)[:, : self._share(count)]
+            rows = rows.reshape(-1, rows.shape[-1])[:count]
             if word.reduce == "count":
                 totals |= {name: rows[:, k : k + 1].astype(np.int64) for k, name in enumerate(word.names)}
             elif word.reduce == "sum":
@@ -115,21 +125,25 @@ class Kernel:
         times = []
         for _ in range(2):
             started = time.perf_counter()
-            jax.block_until_ready(
-                self.compiled(self.tables, np.zeros((CALL, self.axes), np.int32), *map(np.int32, (0, 1, 1)))
-            )
+            some = np.zeros((self.devices * CALL, self.axes), np.int32)
+            jax.block_until_ready(self.compiled(self.tables, some, *map(np.int32, (0, 1, 1))))
             times.append(time.perf_counter() - started)
         one = min(times)
         self.tiles = int(np.clip(seconds / one, 1, self.tiles))
         self.blocks = int(np.clip(seconds / one / self.tiles, 1, BLOCKS))
-        return POSITIONS * min(self.width, self.orientations) / one
+        return self.devices * POSITIONS * min(self.width, self.orientations) / one
 
 
 def kernel_of(arm: Arm, positions, orientations: Orientations, rolls: int, dtype: np.dtype, plan: Plan):
-    """The compiled loop; it is kept for the next sweep of the same arm, sets and statistics."""
+    """The compiled loop; it is kept for the next sweep of the same arm, sets and statistics.
+
+    Positions are shared out over this process's devices, each of which runs the same program.
+    """
     arm = arm.astype(dtype).baked()
     place, turn = positions.tables(dtype), orientations.tables(dtype)
     words = words_of(plan.lanes, rolls)
+    devices = jax.local_devices()
+    mesh = Mesh(np.array(devices), ("goals",))
     width = min(ORIENTATIONS, -(-orientations.count // GROUP) * GROUP)
     tiles = min(TILES, -(-orientations.count // width))
     key = spec.fingerprint(
@@ -138,6 +152,7 @@ def kernel_of(arm: Arm, positions, orientations: Orientations, rolls: int, dtype
             "sets": [spec.of_set(positions), spec.of_set(orientations)],
             "shapes": [x.shape for x in (*place, *turn)],
             "rolls": rolls,
+            "devices": len(devices),
             "dtype": dtype.name,
             "statistics": plan.told(),
         }
@@ -147,12 +162,23 @@ def kernel_of(arm: Arm, positions, orientations: Orientations, rolls: int, dtype
             _compiled.pop(next(iter(_compiled)))
         loop = functools.partial(_loop, arm, positions, orientations, rolls, dtype, words, (tiles, width))
         shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), (place, turn))
-        index = jax.ShapeDtypeStruct((CALL, len(positions.shape)), np.int32)
+        index = jax.ShapeDtypeStruct((len(devices) * CALL, len(positions.shape)), np.int32)
         numbers = [jax.ShapeDtypeStruct((), np.int32)] * 3
-        jitted = jax.jit(loop, compiler_options=wide_vectors())
+        shared, whole = PartitionSpec("goals"), PartitionSpec()
+        places = (whole, shared, whole, whole, whole)
+        # What is the same on all devices is so by its making; nothing is exchanged.
+        spread = jax.shard_map(loop, mesh=mesh, in_specs=places, out_specs=shared, check_vma=False)
+        jitted = jax.jit(
+            spread,
+            in_shardings=tuple(NamedSharding(mesh, place) for place in places),
+            out_shardings=NamedSharding(mesh, shared),
+            compiler_options=wide_vectors(),
+        )
         _compiled[key] = jitted.lower(shapes, index, *numbers).compile()
-    tables = jax.device_put((place, turn))
-    return Kernel(_compiled[key], tables, words, orientations.count, width, len(positions.shape), tiles)
+    tables = jax.device_put((place, turn), NamedSharding(mesh, PartitionSpec()))
+    return Kernel(
+        _compiled[key], tables, words, orientations.count, width, len(positions.shape), tiles, len(devices)
+    )
 
 
 def _loop(arm, positions, orientations, rolls, dtype, words, size, tables, index, first, blocks, tiles):

@@ -55,16 +55,16 @@ def run(
     kernel: Kernel,
     plan: Plan,
     *,
+    done: int = 0,
     progress: bool = False,
     stop: Stop | None = None,
     diary: log.Log,
 ) -> float:
-    """Compute the units `todo` into `sink`; seconds for all units, at the rate of these."""
+    """Compute the units `todo` into `sink`, which holds `done`; seconds for all units at their rate."""
     boxes = [sink.box(number) for number in todo]
     shapes = [tuple(side.stop - side.start for side in box) for box in boxes]
     sizes = [int(np.prod(shape)) for shape in shapes]
     positions = int(np.prod(sink.head.shape))
-    done = len(sink.units) - len(todo)
     writing: deque[tuple[int, Any]] = deque()
     started = time.perf_counter()
 

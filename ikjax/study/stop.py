@@ -11,6 +11,9 @@ import time
 TIME_IS_UP = 4
 """Exit code of a sweep that ran as long as it was given."""
 
+OTHERS_ENDED = 5
+"""Exit code of a sweep of which another process ended before its units were done."""
+
 
 class Stop:
     """A block that notes SIGINT and SIGTERM; call it to ask for a reason to stop.

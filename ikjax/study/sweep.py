@@ -4,6 +4,7 @@ Storey: study. A unit's positions are made from its number, and its statistics a
 the same bits come out for any size of units, in any order, and after any number of interruptions.
 """
 
+import contextlib
 import dataclasses
 from collections.abc import Iterable, Mapping
 
@@ -14,6 +15,7 @@ from ikjax.arm.arm import Arm
 from ikjax.ik.solve import check_family
 from ikjax.solvers.family import TOLERANCE
 from ikjax.study import layout, log, spec, statistics, store
+from ikjax.study.crew import Crew
 from ikjax.study.goals import Grid, Shell
 from ikjax.study.kernel import Kernel, kernel_of
 from ikjax.study.lock import Lock
@@ -70,6 +72,9 @@ def sweep(
     Returns:
         A `ReachMap`: statistics of every position, exact at each goal up to rounding at folds.
 
+    In a program of several processes (`jax.distributed`) all of them call this with the same arguments, and
+    share the units of a map at `out` that all can write to; each then returns the whole map.
+
     Raises:
         ValueError: An arm of no family, orientations that are no rotations, a statistic of no such name,
             another sweep's map to go on with, another writer at work.
@@ -86,24 +91,59 @@ def sweep(
     wanted = _chunk(chunk, positions.shape, turns.count, kernel)
     head = layout.Head(study, spec.of_arm(arm), wanted, "sweeping", 0.0)
 
-    def work(sink, todo: list[int], diary: log.Log) -> float:
-        return run(sink, todo, kernel, plan, progress=progress, stop=stop, diary=diary)
+    def work(sink, todo: list[int], done: int, diary: log.Log) -> float:
+        return run(sink, todo, kernel, plan, done=done, progress=progress, stop=stop, diary=diary)
 
     if out is None:
         memory = _Memory(head, plan)
-        seconds = work(memory, list(range(len(memory.units))), log.Log(None))
+        seconds = work(memory, list(range(len(memory.units))), 0, log.Log(None))
         return ReachMap(arm, positions, turns, rolls, dtype.name, plan.told(), memory.arrays, seconds)
-    place = Place(out)
-    with Lock(place), log.Log(place.folder) as diary:
-        disk = store.begin(place, head, fixed, resume=resume, chunk_given=chunk is not None)
-        survey = disk.survey()
-        todo = [number for number, good in enumerate(survey.good) if not good]
-        units = Units(len(disk.units), sum(survey.good), survey.missing, survey.damaged)
-        diary.begun(disk.head, units)
-        seconds = work(disk, todo, diary) if todo else disk.head.seconds
-        disk.say("complete", seconds)
-        diary.line(f"complete, {seconds:.2f} s for the whole at this run's rate")
+    with _opened(Place(out), head, fixed, resume, chunk is not None) as (crew, disk, good, units, diary):
+        stop = crew.heeding(stop)
+        todo = [number for number, whole in enumerate(good) if not whole]
+        seconds = disk.head.seconds
+        try:
+            if todo:
+                seconds = work(disk, crew.share(todo), sum(good), diary) / crew.count
+        except BaseException as error:
+            crew.end(f"{type(error).__name__}: {error}")
+            crew.wait()  # so that nobody writes any more when the lock goes
+            raise
+        crew.end()
+        broken = crew.wait()
+        if broken:
+            raise SweepStoppedError(broken, disk.place, sum(good) + len(crew.share(todo)), len(good))
+        if crew.leads:
+            disk.say("complete", seconds)
+            diary.line(f"complete, {seconds:.2f} s for the whole at this run's rate")
+        crew.meet("complete")
     return dataclasses.replace(ReachMap.load(out), units=units)
+
+
+@contextlib.contextmanager
+def _opened(place: Place, head: layout.Head, fixed: spec.Fixed, resume: bool, chunk_given: bool):
+    """The store of a sweep, opened by the first process and joined by the others."""
+    crew = Crew()
+    with contextlib.ExitStack() as stack:
+        diary = stack.enter_context(log.Log(place.folder))
+        if crew.leads:
+            with crew.excuse("begun"):
+                stack.enter_context(Lock(place))
+                disk = store.begin(place, head, fixed, resume=resume, chunk_given=chunk_given)
+                survey = disk.survey()
+            units = Units(len(disk.units), sum(survey.good), survey.missing, survey.damaged)
+            diary.begun(disk.head, units)
+            bits = np.packbits(survey.good).tobytes().hex()
+            crew.tell("begun", {"document": layout.group(disk.head).decode(), "good": bits, "units": units})
+            yield crew, disk, survey.good, units, diary
+            return
+        said = crew.hear("begun")
+        found = layout.read_group(said["document"].encode())
+        if found is None or found.spec != head.spec:
+            raise ValueError("the first process sweeps another study")
+        disk, units = store.Store(place, found, fixed), Units(*said["units"])
+        flags = np.unpackbits(np.frombuffer(bytes.fromhex(said["good"]), np.uint8))[: units.total]
+        yield crew, disk, flags.astype(bool).tolist(), units, diary
 
 
 def _checked(arm: Arm, positions, rolls: int, dtype) -> np.dtype:

@@ -6,6 +6,7 @@ import numpy as np
 
 import ikjax
 from ikjax.study import layout
+from ikjax.study.run import SweepStoppedError as SweepStoppedError
 
 UNITS = 8
 STEPS = 61
