@@ -5,8 +5,9 @@ BIN := $(VENV)/bin
 
 .PHONY: sweep test suite long verify bench notebooks lint clean
 
-sweep: $(VENV)/run.stamp            ## sweep a PUMA 560's workspace: a map, a picture, a summary
-	$(BIN)/ikjax sweep puma560 --spacing 0.03 --orientations 512 --out out/puma560.zarr --picture out/puma560.png
+sweep: $(VENV)/run.stamp            ## sweep a PUMA 560's workspace, or go on with it: a map, a picture, a summary
+	$(BIN)/ikjax sweep puma560 --spacing 0.03 --orientations 512 \
+		--out out/puma560.zarr --resume --force --picture out/puma560.png
 
 test: lint suite                    ## linter, types, fast tests with the README's examples
 

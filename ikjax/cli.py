@@ -105,6 +105,7 @@ def _parser() -> argparse.ArgumentParser:
     sweep.add_argument("--orientations", type=int, help="even ones at every position, 512 by default")
     sweep.add_argument("--out", help="store the map here: a folder (zarr v3), or a URL such as s3://...")
     sweep.add_argument("--resume", action="store_true", help="go on with what is at --out, or start")
+    sweep.add_argument("--force", action="store_true", help="replace a map; with --resume, another study's")
     sweep.add_argument("--max-hours", type=_size, help="stop at the end of a unit after so long")
     sweep.add_argument("--distributed", action="store_true", help="share the units with other processes")
     sweep.add_argument("--coordinator", metavar="HOST:PORT", help="where jax does not find it by itself")
@@ -287,8 +288,9 @@ def _sweep(options) -> int:
     _join(options)
     study = _study(options)
     _check_places(options)
-    if options.resume and not options.out:
-        raise ValueError("--resume needs --out, the map to go on with")
+    if (options.resume or options.force) and not options.out:
+        flag = "--resume" if options.resume else "--force"
+        raise ValueError(f"{flag} needs --out, the map to go on with or to replace")
     earlier = ikjax.ReachMap.load(options.compare) if options.compare else None
     # Read now: the earlier map may be the one that is replaced.
     earlier = earlier and dataclasses.replace(earlier, arrays=earlier.to_numpy())
@@ -305,6 +307,7 @@ def _sweep(options) -> int:
                 **study._asdict(),
                 out=options.out,
                 resume=options.resume,
+                force=options.force,
                 progress=leads and not options.json,
                 stop=stop,
             )

@@ -117,6 +117,7 @@ def test_both_precisions_agree(run):
     "words, says",
     [
         (["sweep", "puma560", "--resume"], "--resume needs --out"),
+        (["sweep", "puma560", "--force"], "--force needs --out"),
         (["sweep", "nowhere.toml"], "No such file"),
         (["sweep", "nowhere.toml", "--spacing", "1"], "--spacing is for nowhere.toml to say"),
         (["sweep", "ur5", "--compare", "nowhere.zarr"], "holds no ikjax map"),

@@ -109,4 +109,6 @@ class _Storing:
 
 
 def _short(error: BaseException) -> str:
-    return " ".join(str(error).split())[:300]
+    text = " ".join(str(error).split())
+    # What the operating system says stands at the end, after long paths.
+    return text if len(text) <= 300 else f"{text[:120]} ... {text[-175:]}"

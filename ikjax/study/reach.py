@@ -216,15 +216,16 @@ class ReachMap:
         facts = {"arm": self.arm.name, "orientations": self.orientations, "dtype": self.dtype}
         return xarray.Dataset(values, coords=coords, attrs={**facts, "ikjax_schema": spec.SCHEMA})
 
-    def save(self, out, *, chunk=None) -> None:
+    def save(self, out, *, chunk=None, force: bool = False) -> None:
         """Write the map as a zarr v3 group; see `store`.
 
         Args:
-            out: A folder, or a URL that tensorstore knows. A finished map there is replaced.
+            out: A folder, or a URL that tensorstore knows.
             chunk: Positions of a chunk along each axis.
+            force: Replace a map that is there.
 
         Raises:
-            FileExistsError: Something else than a finished map is there.
+            FileExistsError: Something is there.
         """
         fixed = layout.fixed(self.grid, self.directions)
         study = spec.of_study(self.arm, self.grid, self.directions, self.rolls, self.dtype, self.told, fixed)
@@ -232,7 +233,7 @@ class ReachMap:
         head = layout.Head(study, spec.of_arm(self.arm), chunk, "sweeping", 0.0)
         place, values = Place(out), self.to_numpy()
         with Lock(place):
-            disk = store.begin(place, head, fixed, resume=False, chunk_given=True)
+            disk = store.begin(place, head, fixed, resume=False, force=force, chunk_given=True)
             for number in range(len(disk.units)):
                 box = disk.box(number)
                 disk.settle(number, disk.put(number, {name: value[box] for name, value in values.items()}))

@@ -112,7 +112,9 @@ class Store:
                 future.result()
 
 
-def begin(place: Place, head: Head, fixed: specs.Fixed, *, resume: bool, chunk_given: bool):
+def begin(
+    place: Place, head: Head, fixed: specs.Fixed, *, resume: bool, force: bool = False, chunk_given: bool
+) -> Store:
     """The store of a sweep: a new one, or one to go on with.
 
     Args:
@@ -120,46 +122,63 @@ def begin(place: Place, head: Head, fixed: specs.Fixed, *, resume: bool, chunk_g
         head: The spec and chunk wanted.
         fixed: The arrays that the spec determines.
         resume: Go on with what is there; start if there is nothing.
+        force: Replace a map that is there; with `resume`, one that cannot be gone on with.
         chunk_given: Whether the chunk was asked for, and not only the default.
 
     Raises:
         ValueError: To go on with a map of another spec, chunk or schema.
-        FileExistsError: Something else than a map is there; or an unfinished map, without `resume`.
+        FileExistsError: Something else than a map is there; or a map, with neither `resume` nor `force`.
     """
     document = place.read(layout.GROUP)
     found = layout.read_group(document)
-    if found is None:
-        found = _told_by_arrays(place, head)
-        if found is not None and not resume:
-            raise FileExistsError(f"{place} holds a damaged map; mend it with resume=True, or delete it")
-    if found is None:
-        schema = layout.schema_of(document)
-        if schema in (None, specs.SCHEMA) and (document is not None or place.keys()):
-            what = "is no map" if schema is None else "is a map damaged beyond repair, or of another spec"
-            raise FileExistsError(f"{place} exists and {what}; it is left alone")
-        if schema is not None and resume:
-            raise ValueError(f"{place} has schema {schema}, this version writes schema {specs.SCHEMA}")
-    if found is None or found.state == "clearing":
+    told = _told_by_arrays(place, head) if found is None else None
+    schema = layout.schema_of(document)
+    if found is None and told is None:
+        if document is None and not place.keys():
+            return _new(place, head, fixed)
+        if schema is None:
+            raise FileExistsError(f"{place} exists and is no map; it is left alone")
+    if found is not None and found.state == "clearing":
         return _new(place, head, fixed)
     if not resume:
-        if found.state != "complete":
-            raise FileExistsError(
-                f"{place} holds an unfinished map; go on with resume=True (--resume), or delete it"
-            )
-        return _new(place, head, fixed)
-    if found.spec != head.spec:
-        rows = specs.differences(found.spec, head.spec)
-        raise ValueError(
-            f"{place} holds a map with fingerprint {specs.fingerprint(found.spec)}, this sweep's is "
-            f"{specs.fingerprint(head.spec)}: {'; '.join(rows)}"
+        if force:
+            return _new(place, head, fixed)
+        kind = (
+            "a damaged" if found is None else "a finished" if found.state == "complete" else "an unfinished"
         )
-    if chunk_given and found.chunk != head.chunk:
-        raise ValueError(f"{place} has chunk {found.chunk}, got chunk {head.chunk}")
+        raise FileExistsError(
+            f"{place} holds {kind} map; go on with resume=True (--resume), "
+            "or replace it with force=True (--force)"
+        )
+    found, why = _fits(place, head, found or told, schema, chunk_given)
+    if found is None:
+        if force:
+            return _new(place, head, fixed)
+        raise ValueError(f"{why}; replace it with force=True (--force)")
     store = Store(place, found, fixed)
     store.repair()
     if document != layout.group(store.head):
         store.say(store.head.state, store.head.seconds)
     return store
+
+
+def _fits(
+    place: Place, head: Head, found: Head | None, schema: int | None, chunk_given: bool
+) -> tuple[Head | None, str]:
+    """The head of a map that can be gone on with, or None and why it cannot."""
+    if found is None:
+        if schema != specs.SCHEMA:
+            return None, f"{place} has schema {schema}, this version writes schema {specs.SCHEMA}"
+        return None, f"{place} is a map damaged beyond repair, or of another spec"
+    if found.spec != head.spec:
+        rows = specs.differences(found.spec, head.spec)
+        return None, (
+            f"{place} holds a map with fingerprint {specs.fingerprint(found.spec)}, this sweep's is "
+            f"{specs.fingerprint(head.spec)}: {'; '.join(rows)}"
+        )
+    if chunk_given and found.chunk != head.chunk:
+        return None, f"{place} has chunk {found.chunk}, got chunk {head.chunk}"
+    return found, ""
 
 
 def _new(place: Place, head: Head, fixed: specs.Fixed) -> Store:

@@ -6,7 +6,8 @@ the same bits come out for any size of units, in any order, and after any number
 
 import contextlib
 import dataclasses
-from collections.abc import Iterable, Mapping
+import functools
+from collections.abc import Callable, Iterable, Mapping
 
 import jax.numpy as jnp
 import numpy as np
@@ -44,6 +45,7 @@ def sweep(
     statistics: Iterable[str | Measure] = statistics.USUAL,
     out=None,
     resume: bool = False,
+    force: bool = False,
     chunk=None,
     progress: bool = False,
     stop: Stop | None = None,
@@ -61,9 +63,9 @@ def sweep(
         dtype: float32 or float64 of the kernel; by default the arm's.
         statistics: Which to keep, by name or as `ikjax.Measure(...)`: see `study.statistics`. What is not
             asked for is not computed.
-        out: A folder, or a URL that tensorstore knows, where the map is stored unit by unit. A finished
-            map there is replaced, an unfinished one only gone on with.
+        out: A folder, or a URL that tensorstore knows, where the map is stored unit by unit.
         resume: Go on with what is at `out`: what cannot be read is computed. Start if nothing is there.
+        force: Replace a map at `out`; with `resume`, one of another study only.
         chunk: Positions of a unit along each axis; the numbers do not depend on it. By default about a
             second of work, and at most about a minute.
         progress: Show a bar with rate and time left on stderr.
@@ -98,7 +100,8 @@ def sweep(
         memory = _Memory(head, plan)
         seconds = work(memory, list(range(len(memory.units))), 0, log.Log(None))
         return ReachMap(arm, positions, turns, rolls, dtype.name, plan.told(), memory.arrays, seconds)
-    with _opened(Place(out), head, fixed, resume, chunk is not None) as (crew, disk, good, units, diary):
+    begin = functools.partial(store.begin, resume=resume, force=force, chunk_given=chunk is not None)
+    with _opened(Place(out), head, fixed, begin) as (crew, disk, good, units, diary):
         stop = crew.heeding(stop)
         todo = [number for number, whole in enumerate(good) if not whole]
         seconds = disk.head.seconds
@@ -121,7 +124,7 @@ def sweep(
 
 
 @contextlib.contextmanager
-def _opened(place: Place, head: layout.Head, fixed: spec.Fixed, resume: bool, chunk_given: bool):
+def _opened(place: Place, head: layout.Head, fixed: spec.Fixed, begin: Callable[..., store.Store]):
     """The store of a sweep, opened by the first process and joined by the others."""
     crew = Crew()
     with contextlib.ExitStack() as stack:
@@ -129,7 +132,7 @@ def _opened(place: Place, head: layout.Head, fixed: spec.Fixed, resume: bool, ch
         if crew.leads:
             with crew.excuse("begun"):
                 stack.enter_context(Lock(place))
-                disk = store.begin(place, head, fixed, resume=resume, chunk_given=chunk_given)
+                disk = begin(place, head, fixed)
                 survey = disk.survey()
             units = Units(len(disk.units), sum(survey.good), survey.missing, survey.damaged)
             diary.begun(disk.head, units)

@@ -3,6 +3,7 @@
 import importlib.util
 import os
 import pathlib
+import re
 import shutil
 import subprocess
 import sys
@@ -131,7 +132,7 @@ def test_an_unfinished_map_says_so_and_is_not_swept_over(copy, whole, memory):
     with pytest.raises(ValueError, match=r"unfinished: 4 of 8 units are missing; go on .*--resume"):
         ikjax.ReachMap.load(copy)
     (copy / layout.GROUP).write_bytes(layout.group(head_of(copy)._replace(state="sweeping")))
-    with pytest.raises(FileExistsError, match="unfinished map; go on with resume=True"):
+    with pytest.raises(FileExistsError, match=r"an unfinished map; go on with resume=True .*--force"):
         small.swept(copy)
     assert small.swept(copy, resume=True).units == (8, 4, 4, 0)
     assert_whole(copy, whole, memory)
@@ -154,9 +155,21 @@ def test_another_spec_is_refused_with_both_fingerprints(copy, whole):
     assert small.files(copy) == small.files(whole)
 
 
-def test_a_finished_map_gives_way_to_a_new_one(copy):
+def test_a_finished_map_gives_way_to_a_new_one_only_by_force(copy, whole):
     coarse = ikjax.grid((-0.3, -0.3, -0.1), (0.3, 0.3, 0), 0.3)
-    back = small.swept(copy, positions=coarse)
+    for options in ({}, {"positions": coarse}):
+        with pytest.raises(FileExistsError, match=r"a finished map; go on with resume=True .*--force"):
+            small.swept(copy, **options)
+    with pytest.raises(FileExistsError, match=r"a finished map; .*--force"):
+        ikjax.ReachMap.load(copy).save(copy)
+    with pytest.raises(ValueError, match=r"grid\.spacing: 0.1 there, 0.3 here.*--force"):
+        small.swept(copy, positions=coarse, resume=True, chunk=None)
+    assert small.files(copy) == small.files(whole)
+    assert small.swept(copy, resume=True, force=True).units.kept == small.UNITS
+    (copy / "c" / "notes").mkdir(parents=True)
+    back = small.swept(copy, positions=coarse, resume=True, force=True)
+    assert (copy / "c" / "notes").exists()
+    assert small.bits(small.swept(copy, positions=coarse, force=True)) == small.bits(back)
     assert back.grid == coarse and back.units.missing == back.units.total
     assert small.bits(back) == small.bits(small.swept(positions=coarse))
     assert len(list((copy / "reachable" / "c").rglob("*/*/*"))) == back.units.total
@@ -213,6 +226,115 @@ small.swept({str(tmp_path / "map.zarr")!r})
     units = small.swept(tmp_path / "map.zarr", resume=True).units
     assert units.damaged == 0 and 2 <= units.kept <= 4
     assert_whole(tmp_path / "map.zarr", whole, memory)
+
+
+@pytest.fixture
+def mounted(tmp_path):
+    """A file system of its own, and a way to mount it anew with other options."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+
+    def mount(options):
+        return subprocess.run(
+            ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(folder)], capture_output=True
+        )
+
+    if shutil.which("mount") is None or mount("size=96k").returncode:
+        pytest.skip("only who may mount can fill a disk")
+    yield folder, lambda options: mount(f"remount,{options}").check_returncode()
+    subprocess.run(["umount", str(folder)], check=True)
+
+
+def test_a_disk_that_is_full_is_named_and_gone_on_with_when_there_is_room(mounted, whole, memory):
+    folder, mount = mounted
+    with pytest.raises(StorageError, match="No space left on device"):
+        small.swept(folder / "map.zarr")
+    with pytest.raises(ValueError, match="unfinished"):
+        ikjax.ReachMap.load(folder / "map.zarr")
+    with pytest.raises(StorageError, match="No space left on device"):
+        small.swept(folder / "map.zarr", resume=True)
+    mount("size=4m")
+    units = small.swept(folder / "map.zarr", resume=True).units
+    assert 0 < units.kept < small.UNITS and units.damaged == 0
+    assert_whole(folder / "map.zarr", whole, memory)
+
+
+def test_a_folder_that_is_read_only_is_named_and_a_map_in_it_is_read(mounted, whole, memory):
+    folder, mount = mounted
+    mount("size=4m")
+    shutil.copytree(whole, folder / "map.zarr")
+    mount("ro")
+    for out, options in (("map.zarr", {"resume": True}), ("map.zarr", {"force": True}), ("new.zarr", {})):
+        with pytest.raises(StorageError, match=r"cannot write .*zarr\.lock: .*Read-only file system"):
+            small.swept(folder / out, **options)
+    assert_whole(folder / "map.zarr", whole, memory)
+
+
+def test_of_many_who_find_a_dead_writers_lock_one_takes_it(tmp_path):
+    code = f"""
+import json, os, sys, time
+sys.path.insert(0, {str(HERE.parent.parent)!r})
+from ikjax.study.lock import Lock, _mine
+from ikjax.study.place import Place
+place = Place(sys.argv[1])
+lock = Lock(place)
+for trial in range(10):
+    dead = json.loads(_mine()) | {{"began": "1"}}
+    # Some find what a writer left that died before it had said who it was.
+    lock.file.write_bytes(json.dumps(dead).encode() if trial % 5 else b"")
+    go, tell = time.time() + 0.03, os.pipe()
+    children = []
+    for _ in range(8):
+        children.append(os.fork())
+        if not children[-1]:
+            while time.time() < go:
+                pass
+            try:
+                with Lock(place):
+                    inside = os.open(sys.argv[1] + ".inside", os.O_CREAT | os.O_EXCL)
+                    time.sleep(0.02)
+                    os.unlink(sys.argv[1] + ".inside")
+                    os.write(tell[1], b"w")
+            except FileExistsError:
+                os.write(tell[1], b"!")
+            except ValueError as error:
+                os.write(tell[1], b"l" if "being written by process" in str(error) else b"?")
+            os._exit(0)
+    for child in children:
+        os.waitpid(child, 0)
+    print("".join(sorted(os.read(tell[0], 100).decode())), lock.file.exists())
+"""
+    run = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "map.zarr")], capture_output=True, text=True
+    )
+    # Who comes late may find the lock free again; two at once never hold it.
+    rows = run.stdout.splitlines()
+    assert len(rows) == 10 and all(re.fullmatch("l*w+ False", row) for row in rows), run.stdout + run.stderr
+    assert "l" in run.stdout
+
+
+def test_a_slow_arm_gets_small_units_and_calls_and_the_same_bits(memory, monkeypatch):
+    from ikjax.study.kernel import Kernel
+
+    suit, seen = Kernel.suit, []
+
+    def slow(kernel, seconds):
+        suit(kernel, 0.0)
+        seen.append((kernel.blocks, kernel.tiles))
+        return 10.0
+
+    monkeypatch.setattr(Kernel, "suit", slow)
+    asked = []
+    assert (
+        small.bits(small.swept(chunk=None, stop=lambda ended: asked.append(ended) if ended else None))
+        == memory
+    )
+    # 48 orientations at ten goals a second: a position takes five seconds, so a unit has eight.
+    assert seen == [(1, 1)] and len(asked) == 128 // 8 - 1
+    assert layout.default_chunk((100, 100, 100), 1000, 2000.0) == (1, 1, 2)
+    assert layout.default_chunk((3, 10**6), 32) == (3, 2**19) and layout.default_chunk((10**7,), 2) == (
+        2**21,
+    )
 
 
 def test_a_place_that_cannot_be_written_is_named(tmp_path):
