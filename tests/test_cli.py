@@ -261,11 +261,13 @@ def test_a_study_is_swept_gone_on_with_and_compared(run, study, tmp_path):
     code, _, err = run("show", tmp_path / "map.zarr")
     assert code == 2 and "unfinished: 7 of 8 units are missing; go on" in err
     code, _, err = run(*words)
-    assert code == 2 and "holds an unfinished map; go on with resume=True (--resume)" in err
+    assert code == 2 and "holds an unfinished map; go on with resume=True (--resume), or replace" in err
     code, out, _ = run(*words, "--resume", "--json")
     said = json.loads(out)
     assert code == 0 and said["units"] == {"total": 8, "kept": 1, "missing": 7, "damaged": 0}
-    code, out, _ = run(*words, "--compare", tmp_path / "map.zarr")
+    code, _, err = run(*words)
+    assert code == 2 and "holds a finished map; go on with resume=True (--resume), or replace it" in err
+    code, out, _ = run(*words, "--force", "--compare", tmp_path / "map.zarr")
     assert code == 0 and "positions that differ      0" in out
     diary = (tmp_path / "map.zarr.log").read_text()
     assert "1 of 8 units kept, 7 missing, 0 damaged" in diary and "SweepStoppedError" in diary
