@@ -134,7 +134,7 @@ def cone(direction, half_angle: float, directions: int, rolls: int = 1) -> Cone:
     Args:
         direction: (3,) of the tool's z axis in the world, of any length but zero. On a surface with
             normals it is seen from the surface, whose z axis points into it.
-        half_angle: [rad], above 0 and at most pi; pi is all directions.
+        half_angle: [rad], at most pi; 0 is the direction alone, pi is all directions.
         directions: Number of tool axes.
         rolls: Turns about each, a whole turn divided by so many.
 
@@ -145,8 +145,8 @@ def cone(direction, half_angle: float, directions: int, rolls: int = 1) -> Cone:
     size = np.linalg.norm(vectors)
     if vectors.shape != (3,) or not 0 < size < np.inf:
         raise ValueError(f"direction must be a vector (3,) that is not zero, got {direction}")
-    if not 0 < half_angle <= math.pi:
-        raise ValueError(f"half_angle must be above 0 and at most pi, got {half_angle}")
+    if not 0 <= half_angle <= math.pi:
+        raise ValueError(f"half_angle must be from 0 to pi, got {half_angle}")
     _check_count("directions", directions)
     _check_count("rolls", rolls)
     x, y, z = (float(c) for c in vectors / size)
