@@ -208,11 +208,14 @@ def _loop(arm, positions, orientations, rolls, dtype, words, size, tables, index
                 if frame is not None:
                     rotation = vector.matmul(_rows([here[k] for k in range(3, 12)]), rotation)
                 goal = Pose(rotation, tuple(here[k] for k in range(3)))
-                mask = jax.lax.dynamic_index_in_dim(real, t, keepdims=False)
+                # Where tiles are full there is nothing to leave out, and XLA sees more.
+                mask = jax.lax.dynamic_index_in_dim(real, t, keepdims=False) if count % width else None
                 value = _over_rolls(arm, word, goal, rolls, dtype, (deep, width))
                 return added(word, total, reduced(word, value, mask), t)
 
-            part = jax.lax.fori_loop(0, tiles, tile, start(word, deep, most * width, dtype))
+            part = start(word, deep, most * width, dtype)
+            # A loop of one turn costs a tenth of the whole.
+            part = tile(0, part) if most == 1 else jax.lax.fori_loop(0, tiles, tile, part)
             return jax.lax.dynamic_update_slice_in_dim(whole, part, b * deep, 0)
 
         whole = start(word, CALL, most * width, dtype)

@@ -74,12 +74,12 @@ def over_rolls(word: Word, total: jax.Array, value: jax.Array) -> jax.Array:
     return ((total & counts) + (value & counts)) | ((total | value) & ~counts)
 
 
-def reduced(word: Word, value: jax.Array, real: jax.Array) -> jax.Array:
-    """Totals of one tile, (positions, k)."""
-    if word.reduce in ("max", "min"):
+def reduced(word: Word, value: jax.Array, real: jax.Array | None) -> jax.Array:
+    """Totals of one tile, (positions, k); None where all of it is real."""
+    if real is not None:
         value = jnp.where(real, value, blank(word, (), value.dtype))
+    if word.reduce in ("max", "min"):
         return (value.max(-1) if word.reduce == "max" else value.min(-1))[:, None]
-    value = jnp.where(real, value, 0)
     groups = value.reshape(value.shape[0], -1, GROUP)
     if word.reduce == "bits":
         bit = jnp.arange(GROUP, dtype=jnp.uint32).reshape(1, 1, GROUP)
