@@ -215,7 +215,8 @@ def test_a_slide_is_printed_in_millimetres(capsys):
 
 
 def test_an_arm_can_be_a_urdf_file(capsys, tmp_path):
-    file = tmp_path / "two.urdf"
+    file = tmp_path / ("deep" * 30) / "two.urdf"
+    file.parent.mkdir()
     text = '<robot name="two"><link name="a"/><link name="b"/><link name="c"/><link name="d"/>'
     joints = ("j1", "revolute", "a", "b"), ("j2", "revolute", "b", "c"), ("t", "fixed", "c", "d")
     for name, kind, above, below in joints:

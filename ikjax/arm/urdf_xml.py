@@ -24,9 +24,9 @@ class ArmFileError(ValueError):
     """A file that does not describe an arm: where, which element, and why."""
 
 
-def show(text: str) -> str:
+def show(text: str, most: int | None = 80) -> str:
     """Safe to print: no control characters, no endless lines."""
-    return repr(text if len(text) <= 80 else text[:80] + "...")[1:-1]
+    return repr(text if most is None or len(text) <= most else text[:most] + "...")[1:-1]
 
 
 def quote(text: str) -> str:
@@ -39,7 +39,8 @@ def listing(names: Iterable[str]) -> str:
 
 
 def file_error(file: str, line: int, label: str, reason: str) -> ArmFileError:
-    place = f"{show(file)}:{line}" if line else show(file)
+    # Of a path the end counts.
+    place = show(file, None) + (f":{line}" if line else "")
     return ArmFileError(": ".join(part for part in (place, label, reason) if part))
 
 
