@@ -6,11 +6,12 @@ shifts all that comes after it about an axis of its frame, as a joint does.
 """
 
 import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
 from ikjax.arm.arm import Arm, numbers
 from ikjax.arm.forward import Chain, fixed_pose
-from ikjax.core import vector
+from ikjax.core import safe, vector
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Scalar
 from ikjax.core.vector import Matrix, Vector, plus, times
@@ -65,6 +66,31 @@ def of_motors(arm: Arm, found: Chain, tip: Vector) -> list[Twist]:
     if arm.coupling is None:
         return twists
     return [_sum(twists, numbers(arm.coupling[:, i])) for i in range(arm.n)]
+
+
+def asked(arm: Arm, found: Chain, per_length: Scalar) -> Callable[[Twist], tuple[Scalar, ...]]:
+    """What the task asks of a velocity, in its rows, linear ones first and times `per_length` [1/m]."""
+
+    def rows(twist: Twist) -> tuple[Scalar, ...]:
+        linear, angular = vector.scale(per_length, twist.linear), twist.angular
+        if arm.task == "pose":
+            return (*linear, *angular)
+        if arm.task == "position":
+            return linear
+        x, y, up = _plane(arm, found)
+        ahead = vector.dot(x, linear), vector.dot(y, linear)
+        return ahead if arm.task == "planar_position" else (*ahead, vector.dot(up, angular))
+
+    return rows
+
+
+def _plane(arm: Arm, found: Chain) -> tuple[Vector, Vector, Vector]:
+    """Two directions of the plane that a planar arm moves in, and the one square to it."""
+    axes = [_axis(frame, 2) for frame in found.before]
+    x = _axis(found.before[0], 0) if arm.kinds[0] == "R" else axes[0]
+    up = axes[arm.kinds.index("R")] if "R" in arm.kinds else vector.cross(axes[0], axes[1])
+    up = vector.scale(safe.reciprocal_sqrt(vector.dot(up, up)), up)
+    return x, vector.cross(up, x), up
 
 
 def of_numbers(arm: Arm, rates: Arm, q: tuple[Scalar, ...], found: Chain, tip: Vector) -> Twist:

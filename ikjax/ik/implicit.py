@@ -120,7 +120,7 @@ def _motion(build: Build, leaves, leaf_rates, goal_rates, q, valid, damping):
         own = rates.of_numbers(arm, build(leaf_rates), joints, found, reached.position)
         twist = twist.plus(own.times(-1.0))
     size = reach(arm)
-    rows = _rows(arm, 1 / size)
+    rows = rates.asked(arm, found, 1 / size)
     wanted = [hold(x) for x in rows(twist)]
     # A slide counts in reaches too.
     units = [size if kind == "P" else 1.0 for kind in arm.kinds]
@@ -139,22 +139,6 @@ def _motion(build: Build, leaves, leaf_rates, goal_rates, q, valid, damping):
     )
     moves = [jnp.where(still, 0, unit * step) for unit, step in zip(units, steps, strict=True)]
     return jnp.stack([jnp.moveaxis(jnp.broadcast_to(x, still.shape), 0, -1) for x in moves], axis=-1)
-
-
-def _rows(arm: Arm, per_reach: Scalar) -> Callable[[rates.Twist], tuple[Scalar, ...]]:
-    """What the task asks of a velocity, in its rows; lengths in reaches."""
-    x, y, z = vector.transpose(fixed_pose(arm.base).rotation)
-
-    def rows(twist: rates.Twist) -> tuple[Scalar, ...]:
-        linear, angular = vector.scale(per_reach, twist.linear), twist.angular
-        if arm.task == "pose":
-            return (*linear, *angular)
-        if arm.task == "position":
-            return linear
-        ahead = vector.dot(x, linear), vector.dot(y, linear)
-        return ahead if arm.task == "planar_position" else (*ahead, vector.dot(z, angular))
-
-    return rows
 
 
 def _dot(u, v) -> Scalar:

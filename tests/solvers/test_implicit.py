@@ -27,6 +27,7 @@ FREE = {
     "turret": {"a": [1, 2, 3], "alpha": [], "d": [0]},
     "3R": {"a": [0, 1, 2], "alpha": [], "d": [0]},
     "RPR": {"a": [0], "alpha": [], "d": []},
+    "planar_prr": {"a": [1, 2], "alpha": [], "d": []},
     "2R": {"a": [0, 1], "alpha": [], "d": []},
 }
 """Entries of the table that may change without leaving the family: those that are not zero there, so that
@@ -34,7 +35,7 @@ the kernel's form stays; the joint offsets, base and tool always may."""
 
 
 TYPES = (np.float32, np.float64)
-QUICK = ("puma560", "RRR, point", "SCARA RRPR", "3R", "RPR", "2R")
+QUICK = ("puma560", "RRR, point", "SCARA RRPR", "3R", "RPR", "planar_prr", "2R")
 FOLLOWED = [
     # The PUMA compiles longest, and the point's quartic has all it has.
     pytest.param(name, marks=() if name in QUICK[1:] else pytest.mark.long)
@@ -83,7 +84,7 @@ def moved(goals, twist):
 def in_plane(arm, twist):
     """What an arm of few joints can follow of a twist."""
     if arm.task.startswith("planar") or arm.family in ("scara", "turret"):
-        up = np.asarray(arm.base)[:3, 2]
+        up = np.asarray(ikjax.jacobian(arm, np.zeros(arm.n)))[3:, arm.kinds.index("R")]
         if arm.task.startswith("planar"):
             twist[:3] -= up * (up @ twist[:3])
         twist[3:] = up * (up @ twist[3:])

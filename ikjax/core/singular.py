@@ -1,0 +1,91 @@
+"""Singular values of small matrices, many at a time, and their slopes: finite where there is none too.
+
+Storey: core. Every entry may be an array of any batch shape. Columns are turned in pairs until all are square
+to each other; their lengths are then the singular values, a value of zero right to rounding and not to its
+root, as the eigenvalues of a Gram matrix would have it.
+
+Source: Hestenes, Inversion of matrices by biorthogonalization (1958), in the order of a round-robin
+tournament after Brent and Luk (1985); the slope u . dM v is Golub and Van Loan, Matrix Computations, 8.6.
+"""
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+
+from ikjax.core import safe
+from ikjax.core.trig import Scalar
+
+Column = tuple[Scalar, ...]
+
+SWEEPS = {"float32": 5, "float64": 6}
+"""Every pair of columns meets so often: the error squares in every sweep, once it is small."""
+
+
+@jax.custom_jvp
+def singular_values(columns: Sequence[Column]) -> tuple[jax.Array, ...]:
+    """The singular values of a matrix with no more columns than rows, one for each column, in no order.
+
+    The slope of each is that of its own pair of vectors. Where values are repeated, any of the pairs that
+    belong to them may come up, and functions that treat all values alike still have their own slope. A value
+    of exactly zero has slope zero, as the absolute value that it is.
+
+    Args:
+        columns: Up to some eight columns, each of as many entries, of one shape and one floating type.
+    """
+    return tuple(map(_length, _turned(columns, len(columns[0]))))
+
+
+@singular_values.defjvp
+def _(primals, tangents):
+    (columns,), (rates,) = primals, tangents
+    rows, one = len(columns[0]), jnp.ones_like(columns[0][0])
+    # Beneath each column, where it went: those entries become the right-hand vectors.
+    places = [[one if i == j else 0 * one for i in range(len(columns))] for j in range(len(columns))]
+    both = _turned([(*c, *e) for c, e in zip(columns, places, strict=True)], rows)
+    values, slopes = [], []
+    for column in both:
+        left, right = column[:rows], column[rows:]
+        value = _length(left)
+        moved = (v * _dot(left, rate) for v, rate in zip(right, rates, strict=True))
+        values.append(value)
+        slopes.append(safe.divide(sum(moved), value))
+    return tuple(values), tuple(slopes)
+
+
+def _turned(columns: Sequence[Column], rows: int) -> list[Column]:
+    """The columns after all turns; only the first `rows` entries decide how far they turn."""
+    count = len(columns)
+    if count == 1:
+        return list(columns)
+    zero = tuple(jnp.zeros_like(x) for x in columns[0])
+    # An odd one out meets a column of zeros, which turns nothing.
+    around = (*columns, zero) if count % 2 else tuple(columns)
+    size = len(around)
+
+    def meet(_, around):
+        pairs = [_apart(around[i], around[size - 1 - i], rows) for i in range(size // 2)]
+        met = (*(first for first, _ in pairs), *(second for _, second in reversed(pairs)))
+        return (met[0], met[-1], *met[1:-1])
+
+    rounds = (size - 1) * SWEEPS[zero[0].dtype.name]
+    return list(jax.lax.fori_loop(0, rounds, meet, tuple(map(tuple, around))))[:count]
+
+
+def _apart(first: Column, second: Column, rows: int) -> tuple[Column, Column]:
+    """Two columns turned within their plane until they are square to each other, by the lesser turn."""
+    more = _dot(second[:rows], second[:rows]) - _dot(first[:rows], first[:rows])
+    twice = 2 * _dot(first[:rows], second[:rows])
+    tangent = safe.divide(safe.sign(more) * twice, jnp.abs(more) + safe.sqrt(more * more + twice * twice))
+    cosine = 1 / jnp.sqrt(1 + tangent * tangent)
+    sine = cosine * tangent
+    pairs = list(zip(first, second, strict=True))
+    return tuple(cosine * x - sine * y for x, y in pairs), tuple(sine * x + cosine * y for x, y in pairs)
+
+
+def _length(column: Column) -> Scalar:
+    return safe.norm(*column)
+
+
+def _dot(u: Column, v: Column) -> Scalar:
+    return sum(x * y for x, y in zip(u, v, strict=True))

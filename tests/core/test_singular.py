@@ -1,0 +1,90 @@
+"""Singular values against LAPACK's, and their slopes where values are zero or repeated."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from ikjax.core.singular import singular_values
+
+
+def columns(matrices):
+    return tuple(
+        tuple(matrices[..., i, j] for i in range(matrices.shape[-2])) for j in range(matrices.shape[-1])
+    )
+
+
+@jax.jit
+def values(matrices):
+    return jnp.sort(jnp.stack(singular_values(columns(matrices)), axis=-1), axis=-1)
+
+
+@jax.jit
+def slopes(matrices, rates):
+    def product(matrices):
+        found = singular_values(columns(matrices))
+        total = found[0]
+        for value in found[1:]:
+            total = total * value
+        return total
+
+    return jax.jvp(product, (matrices,), (rates,))[1], jax.grad(lambda m: product(m).sum())(matrices)
+
+
+def matrices(shape, rng):
+    """Random ones, and ones of few whole numbers, which are often singular and have repeated values."""
+    rows, count = shape
+    random = rng.normal(size=(200, rows, count))
+    whole = rng.integers(-1, 2, (200, rows, count)).astype(float)
+    return np.concatenate([random, whole, np.eye(rows, count)[None], np.zeros((1, rows, count))])
+
+
+@pytest.mark.parametrize("shape", [(6, 6), (6, 5), (3, 3), (2, 2), (3, 1)])
+def test_values_are_those_of_lapack(shape, dtype, rng):
+    given = matrices(shape, rng).astype(dtype)
+    expected = np.sort(np.linalg.svd(given.astype(np.float64), compute_uv=False), axis=-1)
+    # A few roundings for each of some forty turns, in units of the greatest value.
+    bound = 40 * np.finfo(dtype).eps * (1 + expected.max(-1, keepdims=True))
+    assert (np.abs(np.asarray(values(jnp.asarray(given))) - expected) <= bound).all()
+
+
+@pytest.mark.parametrize("shape", [(6, 6), (3, 3)])
+def test_the_slope_of_the_product_is_that_of_the_determinant(shape, dtype, rng):
+    given, rates = matrices(shape, rng).astype(dtype), rng.normal(size=(402, *shape)).astype(dtype)
+    forward, reverse = map(np.asarray, slopes(jnp.asarray(given), jnp.asarray(rates)))
+    assert np.isfinite(forward).all() and np.isfinite(reverse).all()
+    exact = given.astype(np.float64)
+    sign = np.sign(np.linalg.det(exact))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cofactors = np.stack([_cofactors(m) for m in exact])
+    expected = sign * (cofactors * rates).sum((-1, -2))
+    regular = np.linalg.svd(exact, compute_uv=False)[:, -1] > 1e-2
+    size = np.abs(cofactors).sum((-1, -2)) * np.abs(rates).max() + 1
+    assert regular.sum() > 150
+    # Where values are repeated too: the whole numbers, the identity.
+    assert (np.abs(forward - expected) / size)[regular].max() < 2e3 * np.finfo(dtype).eps
+    again = (reverse.astype(np.float64) * rates).sum((-1, -2))
+    assert (np.abs(again - forward) / size).max() < 1e3 * np.finfo(dtype).eps
+
+
+def _cofactors(m):
+    count = len(m)
+    rest = [[np.delete(np.delete(m, i, 0), j, 1) for j in range(count)] for i in range(count)]
+    return np.array(
+        [[(-1) ** (i + j) * np.linalg.det(rest[i][j]) for j in range(count)] for i in range(count)]
+    )
+
+
+def test_a_least_value_has_the_slope_of_its_vectors(rng):
+    given, rates = rng.normal(size=(50, 6, 6)), rng.normal(size=(50, 6, 6))
+    least = lambda m: values_least(m)  # noqa: E731
+    slope = jax.jvp(least, (jnp.asarray(given),), (jnp.asarray(rates),))[1]
+    step = 1e-6
+    ahead, behind = (np.linalg.svd(given + s * rates, compute_uv=False)[:, -1] for s in (step, -step))
+    apart = np.linalg.svd(given, compute_uv=False)[:, -1] > 1e-2
+    np.testing.assert_allclose(slope[apart], ((ahead - behind) / (2 * step))[apart], atol=1e-6)
+
+
+@jax.jit
+def values_least(matrices):
+    return jnp.min(jnp.stack(singular_values(columns(matrices)), axis=-1), axis=-1)

@@ -1,0 +1,158 @@
+"""How well an arm moves: against LAPACK and differences, at singularities, for every kind of task."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import ikjax
+from ikjax.solvers.family import reach
+
+MEASURES = (ikjax.manipulability, ikjax.inverse_condition, ikjax.sigma_min)
+ARMS = ("puma560", "stanford", "so101", "gx4_351s", "planar_prr", "planar_2r")
+
+
+def joints(arm, rng, count=40):
+    """Anywhere, at right angles, and straight."""
+    q = rng.uniform(-3, 3, (count, arm.n))
+    corners = rng.integers(-2, 3, (count, arm.n)) * np.pi / 2
+    return np.concatenate([q, corners, np.zeros((1, arm.n))])
+
+
+def scaled_jacobian(arm, q):
+    """The Jacobian in the rows of the task, lengths in reaches, by the library's own whole Jacobian."""
+    arm = arm.astype(np.float64)
+    whole, size = np.array(ikjax.jacobian(arm, q)), float(reach(arm))
+    whole[..., :3, :] /= size
+    whole[..., [kind == "P" for kind in arm.kinds]] *= size
+    # These planar arms stand in the world's x, y plane.
+    return whole[..., {"pose": range(6), "planar_pose": [0, 1, 5], "planar_position": [0, 1]}[arm.task], :]
+
+
+@jax.jit
+def measured(arm, q):
+    return jnp.stack([measure(arm, q) for measure in MEASURES], axis=-1)
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_measures_are_those_of_the_singular_values(name, dtype, rng):
+    arm = ikjax.robots.get(name).astype(dtype)
+    q = joints(arm, rng).astype(dtype)
+    values = np.linalg.svd(scaled_jacobian(arm, q), compute_uv=False)
+    least, most = values.min(-1), values.max(-1)
+    expected = np.stack([values.prod(-1), least / most, least], axis=-1)
+    got = measured(arm, q)
+    assert got.dtype == dtype
+    np.testing.assert_allclose(got, expected, atol=200 * np.finfo(dtype).eps)
+
+
+LEAVES = ("a", "alpha", "d", "theta", "base", "tool")
+
+
+@jax.jit
+def slopes(arm, q):
+    """Of the sum of all measures, in the arm's leaves and in q."""
+
+    def total(leaves, q):
+        return measured(dataclasses.replace(arm, **leaves), q).sum()
+
+    return jax.grad(total, (0, 1))({key: getattr(arm, key) for key in LEAVES}, q)
+
+
+@jax.jit
+def along(arm, q, rates, t):
+    """The measures at arm + t rates, q + t rates, and their slopes in t."""
+
+    def moved(t):
+        columns, turn = rates
+        columns = {key: getattr(arm, key) + t * rate for key, rate in columns.items()}
+        return measured(dataclasses.replace(arm, **columns), q + t * turn)
+
+    return jax.jvp(moved, (t,), (jnp.ones_like(t),))
+
+
+@pytest.mark.parametrize("name", ["puma560", pytest.param("stanford", marks=pytest.mark.long)])
+def test_slopes_are_finite_at_singularities_and_those_of_differences_elsewhere(name, dtype, rng):
+    arm = ikjax.robots.get(name).astype(dtype)
+    q = jnp.asarray(joints(arm, rng), dtype)
+    for slope in jax.tree.leaves(slopes(arm, q)):
+        assert np.isfinite(slope).all()
+    if dtype == np.float32:
+        return
+    values = np.linalg.svd(scaled_jacobian(arm, q), compute_uv=False)
+    regular = (values[:, -1] > 1e-3) & (values[:, -2] - values[:, -1] > 1e-3)
+    assert regular.sum() > 20
+    # The reach has a corner where a length is zero.
+    rates = {key: rng.normal(size=arm.n) * (np.asarray(getattr(arm, key)) != 0) for key in ("a", "d")}
+    rates |= {key: rng.normal(size=arm.n) for key in ("alpha", "theta")}
+    rates = rates, rng.normal(size=q.shape)
+    step = 1e-6
+    ahead, behind = (np.asarray(along(arm, q, rates, jnp.asarray(t))[0]) for t in (step, -step))
+    slope = np.asarray(along(arm, q, rates, jnp.asarray(0.0))[1])
+    np.testing.assert_allclose(slope[regular], ((ahead - behind) / (2 * step))[regular], atol=1e-5)
+
+
+def test_a_measure_for_every_branch_under_vmap_and_jit():
+    arm = ikjax.robots.planar_3r()
+    sol = ikjax.solve(arm, ikjax.fk(arm, jnp.asarray(np.random.default_rng(1).uniform(-2, 2, (5, 3)))))
+    got = ikjax.manipulability(arm, sol.q)
+    assert got.shape == (5, 2)
+    one = jax.jit(jax.vmap(lambda q: ikjax.manipulability(arm, q)))(sol.q[2])
+    np.testing.assert_allclose(one, got[2], atol=1e-14)
+    assert ikjax.sigma_min(arm, sol.q[0, 0]).shape == ()
+
+
+def test_scaling_an_arm_changes_no_measure_and_a_length_of_ones_own_does():
+    arm = ikjax.robots.puma560()
+    double = dataclasses.replace(arm, a=2 * arm.a, d=2 * arm.d)
+    q = np.full(6, 0.4)
+    np.testing.assert_allclose(measured(double, q), measured(arm, q), rtol=1e-12)
+    whole = np.asarray(ikjax.jacobian(arm, q))
+    np.testing.assert_allclose(
+        ikjax.manipulability(arm, q, length=1.0), abs(np.linalg.det(whole)), rtol=1e-10
+    )
+
+
+def test_seven_joints_have_measures_too(rng):
+    seven = ikjax.Arm.from_dh(
+        a=[0] * 7,
+        alpha=np.array([-1, 1, 1, -1, -1, 1, 0]) * np.pi / 2,
+        d=[0.3, 0, 0.4, 0, 0.4, 0, 0.1],
+        convention="standard",
+    )
+    q = rng.uniform(-2, 2, (5, 7))
+    expected = np.linalg.svd(scaled_jacobian(seven, q), compute_uv=False)
+    np.testing.assert_allclose(ikjax.manipulability(seven, q), expected.prod(-1), rtol=1e-9)
+
+
+def test_limits_are_as_far_as_the_nearest_whatever_the_turns(dtype):
+    arm = ikjax.robots.planar_rpr().astype(dtype)
+    arm = dataclasses.replace(arm, limits=jnp.array([[-1, 2], [0.1, 0.5], [-jnp.inf, jnp.inf]], dtype))
+    size = float(reach(arm))
+    q = np.array([[0.5, 0.3, 3], [0.5 + 2 * np.pi, 0.3, 0], [1.9, 0.3, 0], [-1.25, 0.3, 0], [0.5, 0.6, 0]])
+    middle = 0.2 / size
+    expected = [min(1.5, middle), min(1.5, middle), 0.1, -0.25, -0.1 / size]
+    np.testing.assert_allclose(ikjax.limit_distance(arm, q.astype(dtype)), expected, atol=1e-6)
+    free = dataclasses.replace(arm, limits=jnp.array([[-jnp.inf, jnp.inf]] * 3, dtype))
+    np.testing.assert_allclose(ikjax.limit_distance(free, q.astype(dtype)), np.pi, rtol=1e-6)
+    slopes = jax.grad(lambda arm, q: ikjax.limit_distance(arm, q).sum(), (0, 1))(free, q.astype(dtype))
+    assert all(np.isfinite(x).all() for x in jax.tree.leaves(slopes))
+
+
+def test_a_limit_distance_is_positive_just_where_a_branch_is_within_limits():
+    arm = ikjax.robots.planar_3r()
+    arm = dataclasses.replace(arm, limits=jnp.array([[-1.0, 2.0], [-2.5, 2.5], [-5.0, -1.0]]))
+    q = np.random.default_rng(3).uniform(-np.pi, np.pi, (300, 3))
+    sol = ikjax.solve(arm, ikjax.fk(arm, q))
+    inside = np.asarray(ikjax.within_limits(arm, sol).valid)
+    distance = np.asarray(ikjax.limit_distance(arm, sol.q))
+    clear = np.asarray(sol.valid) & (np.abs(distance) > 1e-9)
+    np.testing.assert_array_equal((distance > 0)[clear], inside[clear])
+    assert 0 < inside.sum() < clear.sum()
+
+
+def test_joints_of_another_number_are_refused():
+    with pytest.raises(ValueError, match=r"q must have shape \(..., 6\)"):
+        ikjax.manipulability(ikjax.robots.puma560(), np.zeros(5))
