@@ -6,6 +6,7 @@ from ikjax.arm.forward import fk, frames
 from ikjax.arm.jacobian import jacobian
 from ikjax.core.pose import planar_pose, pose, pose_error, position
 from ikjax.ik.check import check_goals, explain
+from ikjax.ik.margins import best_margin, limited_margins, smooth_max, smooth_min
 from ikjax.ik.quality import inverse_condition, limit_distance, manipulability, sigma_min
 from ikjax.ik.select import nearest, within_limits
 from ikjax.ik.solutions import Solutions
