@@ -11,7 +11,10 @@ from ikjax.ik.quality import inverse_condition, limit_distance, manipulability, 
 from ikjax.ik.select import nearest, within_limits
 from ikjax.ik.solutions import Solutions
 from ikjax.ik.solve import solve
-from ikjax.study.goals import Grid, Shell, around, grid, shell
+from ikjax.study import objectives
+from ikjax.study.design import design
+from ikjax.study.designed import Designed
+from ikjax.study.goals import Grid, Shell, around, even_rotations, grid, shell
 from ikjax.study.hopf import Hopf, hopf
 from ikjax.study.measures import Measure
 from ikjax.study.orientations import Cone, cone, even_rotations

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ikjax.arm import dh, structure, table
+from ikjax.arm import dh, freedom, structure, table
 from ikjax.arm.axes import Axes, Rewritten, rewritten
 from ikjax.arm.rules import RULES
 from ikjax.core.trig import Scalar
@@ -178,6 +178,14 @@ class Arm:
     def dtype(self):
         """Floating type of the leaves."""
         return self.alpha.dtype
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Numbers of the table that may move a little and the family stays: "a2", "d4", ...
+
+        Base and tool always may. Found by moving each; see `arm.freedom`.
+        """
+        return freedom.free(self)
 
     def astype(self, dtype) -> "Arm":
         """The same arm with leaves of another floating type."""

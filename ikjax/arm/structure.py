@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from ikjax.arm.facts import Check, Table
-from ikjax.arm.rules import RULES
+from ikjax.arm.rules import RULES, Judgement
 
 TOLERANCE = 1e-10
 """How far [rad, or as a share of the reach] a fact may be off and still hold.
@@ -83,7 +83,12 @@ def recognise(
 
 def evidence(kinds: str, numbers: dict, family: str, tolerance: float) -> tuple[Check, ...]:
     """What was checked for one family, whether it holds or not; arguments as in `recognise`."""
-    return tuple(RULES[family].judge(_table(kinds, numbers, 1, tolerance))[0])
+    return tuple(judged(kinds, numbers, family, tolerance)[0])
+
+
+def judged(kinds: str, numbers: dict, family: str, tolerance: float) -> Judgement:
+    """What a family's rule says of a table, whether its facts hold or not; arguments as in `recognise`."""
+    return RULES[family].judge(_table(kinds, numbers, 1, tolerance))
 
 
 def _table(kinds: str, numbers: dict, up: int, tolerance: float) -> Table:

@@ -1,0 +1,142 @@
+"""Reading what a design study may move: `vary` and `ties` as a user writes them.
+
+Storey: study. Host side. Whatever would take the arm out of its family is refused here, before anything runs.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+
+import jax.numpy as jnp
+import numpy as np
+
+from ikjax.arm import freedom
+from ikjax.arm.arm import Arm
+from ikjax.arm.freedom import COLUMNS
+from ikjax.study.parameters import TWIST, Parameters
+
+PARTS = {"": TWIST, "xyz": TWIST[:3], "turn": TWIST[3:], **{part: (part,) for part in TWIST}}
+
+
+def chosen(arm: Arm, vary: Mapping, ties: Sequence[str] = ()) -> Parameters:
+    """The numbers named in `vary`, with their bounds, and the ties between them.
+
+    Args:
+        arm: An arm with a family.
+        vary: From names to (lower, upper), or (lower, upper, mask), numbers or one for each entry. A
+            name is that of a number, "d4"; of a column, "a", which stands for all of it that is free, or
+            for what the mask says; or of a mount: "base", "base.xyz", "base.turn", "base.x" ... "base.rz",
+            and "tool" likewise, in metres and radians from where it is.
+        ties: Equations such as "a2 + 2 d4 = 1"; numbers of the table that do not vary stand for themselves.
+
+    Raises:
+        ValueError: A name that is none, bounds that are none, a number that would leave the family
+            within its bounds, ties that cannot be read or met: the message says what may vary.
+    """
+    bounds: dict[str, tuple[float, float]] = {}
+    for name, value in vary.items():
+        for entry, low, high in _entries(arm, name, value):
+            if entry in bounds:
+                raise ValueError(f"vary names {entry} twice")
+            if not (np.isfinite([low, high]).all() and low < high):
+                raise ValueError(
+                    f"vary[{name!r}] must hold finite lower < upper for {entry}, got {low}, {high}"
+                )
+            bounds[entry] = (low, high)
+    if not bounds:
+        raise ValueError(f"vary must name what may move: {_offer(arm)}")
+    _check_family(arm, bounds)
+    lower, upper = zip(*bounds.values(), strict=True)
+    made = Parameters(tuple(bounds), lower, upper, tuple(_tie(arm, tuple(bounds), text) for text in ties))
+    _check_ties(made, ties)
+    return made
+
+
+def _entries(arm: Arm, name: str, value) -> list[tuple[str, float, float]]:
+    """Names of single numbers with their bounds."""
+    mount, _, part = name.partition(".")
+    if mount in ("base", "tool") and part in PARTS:
+        names = [f"{mount}.{each}" for each in PARTS[part]]
+    elif name in COLUMNS:
+        names = [f"{name}{i + 1}" for i in range(arm.n)]
+    else:
+        try:
+            freedom.number(arm, name)
+        except ValueError as error:
+            raise ValueError(f"vary: {error}; {_offer(arm)}") from error
+        names = [name]
+    try:
+        low, high, *mask = value
+        low, high = (np.broadcast_to(np.asarray(x, float), len(names)).tolist() for x in (low, high))
+        mask = np.broadcast_to(np.asarray(mask[0], bool), len(names)) if mask else None
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            f"vary[{name!r}] must be (lower, upper) or (lower, upper, mask), numbers or {len(names)} of "
+            f"them, got {value!r}"
+        ) from error
+    if mask is None:
+        mask = np.isin(names, arm.free) if name in COLUMNS else np.full(len(names), True)
+    return [row for row, kept in zip(zip(names, low, high, strict=True), mask, strict=True) if kept]
+
+
+def _offer(arm: Arm) -> str:
+    return f"free are {', '.join(arm.free)}, base and tool"
+
+
+def _check_family(arm: Arm, bounds: Mapping[str, tuple[float, float]]) -> None:
+    """Raise where a number, between its bounds, leaves the family; the others in the middle of theirs."""
+    table = {name: pair for name, pair in bounds.items() if "." not in name}
+    middle = {name: (low + high) / 2 for name, (low, high) in table.items()}
+    for name, (low, high) in table.items():
+        for share in (0.02, 0.3, 0.7, 0.98):
+            value = low + share * (high - low)
+            why = freedom.why_not(arm, {**middle, name: value})
+            if why is not None:
+                raise ValueError(
+                    f"{name} = {value:.4g} takes {arm.name} out of the family {arm.family}: {why}. "
+                    f"As it stands, {_offer(arm)}"
+                )
+
+
+def _tie(arm: Arm, names: tuple[str, ...], text: str) -> tuple[float, ...]:
+    """Factors of the names, and what they sum up to."""
+    sides = text.split("=")
+    if len(sides) != 2:
+        raise ValueError(f"a tie must be an equation such as 'a2 + d4 = 1', got {text!r}")
+    factors, total = np.zeros(len(names)), 0.0
+    for sign, side in zip((1, -1), sides, strict=True):
+        terms = re.findall(r"([+-]?)\s*([^+-]+)", side)
+        if not terms:
+            raise ValueError(f"a tie must have something on both sides, got {text!r}")
+        for way, term in terms:
+            factor, name = _term(term, text)
+            factor *= sign * (-1 if way == "-" else 1)
+            if name in names:
+                factors[names.index(name)] += factor
+            elif name is None or "." not in name:
+                total -= factor * (1.0 if name is None else freedom.number(arm, name))
+            else:
+                raise ValueError(f"the tie {text!r} speaks of {name}, which does not vary")
+    if not factors.any():
+        raise ValueError(f"the tie {text!r} speaks of nothing that varies: {', '.join(names)}")
+    return (*factors.tolist(), total)
+
+
+def _term(term: str, text: str) -> tuple[float, str | None]:
+    """A factor and a name, either of which may be left out."""
+    found = re.fullmatch(r"(\d+\.?\d*|\.\d+)?\s*\*?\s*([a-z]+\.[a-z]+|[a-z]+\d+)?", term.strip())
+    if not found or not term.strip():
+        raise ValueError(f"cannot read {term.strip()!r} in the tie {text!r}")
+    factor, name = found.groups()
+    return float(factor or 1), name
+
+
+def _check_ties(made: Parameters, ties: Sequence[str]) -> None:
+    if not ties:
+        return
+    values = np.asarray(made.values(jnp.zeros(len(made.names))), float)
+    for row, text in zip(np.array(made.ties), ties, strict=True):
+        gap = row[:-1] @ values - row[-1]
+        if not abs(gap) < 1e-5 * (1 + abs(row[-1])):
+            raise ValueError(
+                f"the tie {text!r} cannot be met within the bounds: it is off by {gap:.3g} at best"
+            )
