@@ -27,7 +27,7 @@ def clearance_for_length(arm, sol, blur):
 
 
 def study(**settings):
-    settings = {"blur": (0.1, 1e-6), "steps": 250, "starts": 3, **settings}
+    settings = {"blur": (0.1, 1e-4), "steps": 250, "starts": 3, **settings}
     arm = ikjax.robots.planar_2r(0.9, 0.3)
     return ikjax.design(arm, settings.pop("goals", ring()), {"a": (0.1, 2.0)}, **settings)
 
