@@ -210,8 +210,9 @@ class _Plan:
     def made(self, z: jax.Array) -> Arm:
         return self.parameters.put(self.known.arm, self.parameters.values(z))
 
-    def score(self, arm: Arm, goals: jax.Array, blur) -> jax.Array:
-        sol = solve(arm, goals)
+    def score(self, z: jax.Array, goals: jax.Array, blur) -> jax.Array:
+        arm = self.made(z)
+        sol = solve(*self.parameters.apart(self.known.arm, goals, self.parameters.values(z)))
         sol = limited_margins(arm, sol) if self.limits else sol
         return jnp.mean(self.objective(arm, sol, blur))
 
@@ -244,8 +245,7 @@ def _chunk(plan: _Plan, state: _State, goals, keys, blurs, pull):
     """A few steps of every start: the state, scores and violations (steps, starts)."""
 
     def loss(z, multipliers, goals, blur):
-        arm = plan.made(z)
-        score, over = plan.score(arm, goals, blur), plan.over(arm)
+        score, over = plan.score(z, goals, blur), plan.over(plan.made(z))
         push = jnp.maximum(multipliers + pull * over, 0)
         cost = ((push**2 - multipliers**2) / (2 * pull)).sum()
         return cost - score, (score, jnp.max(over, initial=-jnp.inf))
@@ -281,8 +281,7 @@ def _judged(plan: _Plan, z: jax.Array, goals: jax.Array):
     """Numbers (m, k), exact scores (m,) and greatest violations (m,) of every z."""
 
     def judge(z):
-        arm = plan.made(z)
-        return plan.score(arm, goals, 0), jnp.max(plan.over(arm), initial=-jnp.inf)
+        return plan.score(z, goals, 0), jnp.max(plan.over(plan.made(z)), initial=-jnp.inf)
 
     exact, over = jax.lax.map(judge, z, batch_size=plan.together)
     return jax.vmap(plan.parameters.values)(z), exact, over

@@ -63,6 +63,32 @@ class Parameters:
 
     def put(self, arm: Arm, values: jax.Array) -> Arm:
         """The arm with the numbers (k,) in their places; they may be traced."""
+        leaves = self._table(arm, values)
+        for mount in ("base", "tool"):
+            if self._moves(mount):
+                leaves[mount] = self._mount(arm, mount, values)
+        return dataclasses.replace(arm, **leaves)
+
+    def apart(self, arm: Arm, goals: jax.Array, values: jax.Array) -> tuple[Arm, jax.Array]:
+        """An arm and goals (..., 4, 4) whose joints are those of `put`'s arm for the goals as given.
+
+        Base and tool stand still and the goals move instead. The kernel then knows more of its arm while it is
+        compiled, and slopes arrive goal by goal: a fraction of the work.
+        """
+        leaves = self._table(arm, values)
+        if self._moves("base"):
+            back = _product(_given(arm, "base", values), _inverse(self._mount(arm, "base", values)))
+            goals = _product(back, goals)
+        if self._moves("tool") and arm.task == "pose":
+            on = _product(_inverse(self._mount(arm, "tool", values)), _given(arm, "tool", values))
+            goals = _product(goals, on)
+        elif self._moves("tool"):
+            # Where a goal's orientation is free, the tool cannot be made part of it.
+            leaves["tool"] = self._mount(arm, "tool", values)
+        return dataclasses.replace(arm, **leaves), goals
+
+    def _table(self, arm: Arm, values: jax.Array) -> dict[str, Any]:
+        """The columns in which something moves."""
         leaves: dict[str, Any] = {}
         for column in COLUMNS:
             at = {name: i for i, name in enumerate(self.names) if name.rstrip("0123456789") == column}
@@ -70,15 +96,16 @@ class Parameters:
                 rows = jnp.array([int(name[len(column) :]) - 1 for name in at])
                 leaf = jnp.asarray(getattr(arm, column), values.dtype)
                 leaves[column] = leaf.at[rows].set(values[jnp.array(list(at.values()))])
-        for mount in ("base", "tool"):
-            names = [f"{mount}.{part}" for part in TWIST]
-            if set(names) & set(self.names):
-                twist = [
-                    values[self.names.index(n)] if n in self.names else jnp.zeros_like(values[0])
-                    for n in names
-                ]
-                leaves[mount] = _moved(jnp.asarray(getattr(arm, mount), values.dtype), twist)
-        return dataclasses.replace(arm, **leaves)
+        return leaves
+
+    def _moves(self, mount: str) -> bool:
+        return any(name.startswith(f"{mount}.") for name in self.names)
+
+    def _mount(self, arm: Arm, mount: str, values: jax.Array) -> jax.Array:
+        names = [f"{mount}.{part}" for part in TWIST]
+        still = jnp.zeros_like(values[0])
+        twist = [values[self.names.index(name)] if name in self.names else still for name in names]
+        return _moved(_given(arm, mount, values), twist)
 
     def _tied(self, z: jax.Array) -> jax.Array:
         if not self.ties:
@@ -124,3 +151,16 @@ def _moved(mount: jax.Array, twist: Sequence[jax.Array]) -> jax.Array:
     turn = jnp.stack([jnp.stack(row) for row in rotation])
     spun = jnp.stack([sum(turn[i, k] * mount[k, :3] for k in range(3)) for i in range(3)])
     return mount.at[:3, :3].set(spun).at[:3, 3].add(jnp.stack(twist[:3]))
+
+
+def _given(arm: Arm, mount: str, like: jax.Array) -> jax.Array:
+    return jnp.asarray(getattr(arm, mount), like.dtype)
+
+
+def _product(first: jax.Array, second: jax.Array) -> jax.Array:
+    """Of poses (..., 4, 4), written out: a matrix product may be rounded coarsely on some devices."""
+    return poses.to_matrix(poses.compose(poses.from_matrix(first), poses.from_matrix(second)))
+
+
+def _inverse(pose: jax.Array) -> jax.Array:
+    return poses.to_matrix(poses.inverse(poses.from_matrix(pose)))
