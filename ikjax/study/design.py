@@ -1,13 +1,9 @@
 """`design`: a better arm by gradient, many starts at once, and an exact count of what it reaches.
 
-Storey: study. The whole run is one program: the starts are laps of a loop within a loop over steps, and only
-between chunks of steps does the host look in. A score is climbed while its blur shrinks; what decides in the
-end is the exact score. A start whose slope is not finite stands still for that step and disturbs no other.
-
-Source: the augmented Lagrangian for inequalities is that of Nocedal and Wright, Numerical Optimization, 17.4.
+Storey: study. A score is climbed while its blur shrinks; what decides in the end is the exact score. Only
+between chunks of steps does the host look in.
 """
 
-import dataclasses
 import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -19,17 +15,14 @@ import optax
 
 from ikjax.arm.arm import Arm
 from ikjax.ik.check import check_goals
-from ikjax.ik.margins import limited_margins
 from ikjax.ik.select import within_limits
 from ikjax.ik.solve import as_goals, check_family, solve
 from ikjax.solvers.family import reach
+from ikjax.study import climb
+from ikjax.study.climb import Constraint, Objective
 from ikjax.study.designed import Designed
 from ikjax.study.objectives import NAMED
-from ikjax.study.parameters import Parameters
 from ikjax.study.vary import chosen
-
-Objective = Callable[[Arm, Any, Any], jax.Array]
-Constraint = Callable[[Arm], jax.Array]
 
 CHUNK = 25
 """Steps between two looks of the host; multipliers of constraints change there."""
@@ -105,36 +98,36 @@ def design(
             raise ValueError(f"objective must be a function or one of {', '.join(NAMED)}, got {objective!r}")
         objective = NAMED[objective]
     parameters = chosen(arm, vary, ties)
+    batch = batch if batch is not None and batch < len(goals) else None
     size = float(reach(arm.baked()))
-    plan = _Plan(
-        _Known(arm),
+    plan = climb.Plan(
+        climb.Known(arm),
         parameters,
         objective,
         tuple(constraints),
         _usual(steps) if optimiser is None else optimiser,
         limits,
-        batch if batch is not None and batch < len(goals) else None,
-        max(1, BLOCK // (int(np.prod(goals.shape[:-2])) if batch is None else batch)),
+        batch,
+        max(1, BLOCK // ((batch or len(goals)) * int(np.prod(goals.shape[1:-2])))),
     )
     first = parameters.coordinates(parameters.of(arm))
     rest = parameters.random(np.random.default_rng(seed), starts - 1)
     z = jnp.asarray(np.concatenate([first[None], rest]), goals.dtype)
-    state = _started(plan, z)
+    state = climb.started(plan, z)
     blurs = size * np.geomspace(*blur, max(steps, 1))
-    scores, gaps = [], []
+    scores = []
     for at in range(0, steps, CHUNK):
         some = min(CHUNK, steps - at)
         keys = jax.random.split(jax.random.fold_in(jax.random.key(seed), at), some)
         pull = min(PULL * 2.0 ** (at // CHUNK), 1000 * PULL)
-        state, score, gap = _chunk(
+        state, score = climb.chunk(
             plan, state, goals, keys, jnp.asarray(blurs[at : at + some], z.dtype), jnp.asarray(pull, z.dtype)
         )
         scores.append(np.asarray(score))
-        gaps.append(np.asarray(gap))
         if progress is not None:
             progress(at + some, scores[-1][-1])
     everyone = jnp.concatenate([z, state.z])
-    values, exact, over = (np.asarray(x) for x in _judged(plan, everyone, goals))
+    values, exact, over = (np.asarray(x) for x in climb.judged(plan, everyone, goals))
     best = int(
         np.lexsort((np.arange(len(exact)) < starts, -np.nan_to_num(exact, nan=-np.inf), over > MET))[0]
     )
@@ -176,112 +169,3 @@ def _poses(arm: Arm, goals: jax.Array) -> np.ndarray:
 @functools.cache
 def _usual(steps: int) -> optax.GradientTransformation:
     return optax.adam(optax.cosine_decay_schedule(0.1, max(steps, 1)))
-
-
-class _Known:
-    """An arm as a constant of a program: equal where all its numbers are."""
-
-    def __init__(self, arm: Arm):
-        self.arm = arm.baked()
-        leaves, form = jax.tree.flatten(self.arm)
-        self._key = (form, tuple((x.shape, x.dtype.name, x.tobytes()) for x in leaves))
-
-    def __hash__(self) -> int:
-        return hash(self._key)
-
-    def __eq__(self, other) -> bool:
-        return isinstance(other, _Known) and self._key == other._key
-
-
-@dataclasses.dataclass(frozen=True)
-class _Plan:
-    """What is fixed while a study runs; hashable."""
-
-    known: _Known
-    parameters: Parameters
-    objective: Objective
-    constraints: tuple[Constraint, ...]
-    optimiser: optax.GradientTransformation
-    limits: bool
-    batch: int | None
-    together: int
-    """Starts that are worked on at a time."""
-
-    def made(self, z: jax.Array) -> Arm:
-        return self.parameters.put(self.known.arm, self.parameters.values(z))
-
-    def score(self, z: jax.Array, goals: jax.Array, blur) -> jax.Array:
-        arm = self.made(z)
-        sol = solve(*self.parameters.apart(self.known.arm, goals, self.parameters.values(z)))
-        sol = limited_margins(arm, sol) if self.limits else sol
-        return jnp.mean(self.objective(arm, sol, blur))
-
-    def over(self, arm: Arm) -> jax.Array:
-        """How far each constraint is above zero, (c,)."""
-        if not self.constraints:
-            return jnp.zeros(0, arm.a.dtype)
-        return jnp.concatenate([jnp.ravel(jnp.asarray(g(arm))) for g in self.constraints])
-
-
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class _State:
-    z: jax.Array
-    """(starts, k)"""
-    memory: Any
-    """Of the optimiser."""
-    multipliers: jax.Array
-    """(starts, c)"""
-
-
-@functools.partial(jax.jit, static_argnums=0)
-def _started(plan: _Plan, z: jax.Array) -> _State:
-    multipliers = jax.vmap(lambda z: jnp.zeros_like(plan.over(plan.made(z))))(z)
-    return _State(z, jax.vmap(plan.optimiser.init)(z), multipliers)
-
-
-@functools.partial(jax.jit, static_argnums=0)
-def _chunk(plan: _Plan, state: _State, goals, keys, blurs, pull):
-    """A few steps of every start: the state, scores and violations (steps, starts)."""
-
-    def loss(z, multipliers, goals, blur):
-        score, over = plan.score(z, goals, blur), plan.over(plan.made(z))
-        push = jnp.maximum(multipliers + pull * over, 0)
-        cost = ((push**2 - multipliers**2) / (2 * pull)).sum()
-        return cost - score, (score, jnp.max(over, initial=-jnp.inf))
-
-    def step(state: _State, each):
-        key, blur = each
-        some = goals
-        if plan.batch is not None:
-            some = goals[jax.random.choice(key, len(goals), (plan.batch,), replace=False)]
-
-        def slope(one):
-            z, multipliers = one
-            (value, told), slope = jax.value_and_grad(loss, has_aux=True)(z, multipliers, some, blur)
-            sound = jnp.isfinite(value) & jnp.isfinite(slope).all()
-            return jnp.where(sound, slope, 0), told
-
-        slopes, told = jax.lax.map(slope, (state.z, state.multipliers), batch_size=plan.together)
-        # Optimisers promote as they please, whatever the caller is strict about.
-        with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
-            updates, memory = jax.vmap(plan.optimiser.update)(slopes, state.memory, state.z)
-            moved = optax.apply_updates(state.z, updates)
-        moved = jnp.where(jnp.isfinite(moved), moved, state.z)
-        return _State(moved, memory, state.multipliers), told
-
-    state, (scores, gaps) = jax.lax.scan(step, state, (keys, blurs))
-    over = jax.vmap(lambda z: plan.over(plan.made(z)))(state.z)
-    multipliers = jnp.maximum(state.multipliers + pull * over, 0)
-    return dataclasses.replace(state, multipliers=multipliers), scores, gaps
-
-
-@functools.partial(jax.jit, static_argnums=0)
-def _judged(plan: _Plan, z: jax.Array, goals: jax.Array):
-    """Numbers (m, k), exact scores (m,) and greatest violations (m,) of every z."""
-
-    def judge(z):
-        return plan.score(z, goals, 0), jnp.max(plan.over(plan.made(z)), initial=-jnp.inf)
-
-    exact, over = jax.lax.map(judge, z, batch_size=plan.together)
-    return jax.vmap(plan.parameters.values)(z), exact, over

@@ -72,8 +72,8 @@ class Parameters:
     def apart(self, arm: Arm, goals: jax.Array, values: jax.Array) -> tuple[Arm, jax.Array]:
         """An arm and goals (..., 4, 4) whose joints are those of `put`'s arm for the goals as given.
 
-        Base and tool stand still and the goals move instead. The kernel then knows more of its arm while it is
-        compiled, and slopes arrive goal by goal: a fraction of the work.
+        Base and tool stand still and the goals move instead. The kernel then knows more of its arm while
+        it is compiled, and slopes arrive goal by goal: a fraction of the work.
         """
         leaves = self._table(arm, values)
         if self._moves("base"):

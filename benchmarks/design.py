@@ -1,0 +1,267 @@
+"""Three design studies against random search and differential evolution.
+
+`python benchmarks/design.py [--seeds 10] [--studies abc]`. A value-and-gradient counts as six
+evaluations. All methods move the same coordinates between the same bounds, with the same ties; the rivals are
+given the exact score itself, compiled likewise. Times are seconds of processor, all threads, without
+the compiles: of a machine that others work on, no clock on the wall says much.
+"""
+
+import argparse
+import functools
+import time
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from scipy.optimize import differential_evolution
+
+import ikjax
+from ikjax.study import climb
+from ikjax.study.vary import chosen
+
+EVALUATIONS, COST = 1200, 6
+"""Of all goals; a gradient over a batch of them counts as its share of six."""
+MANY = {"starts": 4, "batch": 1}
+INNER, OUTER, LEAST = 0.3, 1.0, 0.1
+
+
+class Study(NamedTuple):
+    title: str
+    arm: ikjax.Arm
+    goals: jax.Array
+    vary: dict
+    objective: object
+    ties: tuple = ()
+    limits: bool = False
+    blur: tuple = (0.1, 0.005)
+    best: np.ndarray | None = None
+    """The known optimum."""
+    starts: int = 1
+    batch: int = 1
+    """So many batches make all goals."""
+
+    @property
+    def steps(self) -> int:
+        return EVALUATIONS // COST * self.batch // self.starts
+
+    @property
+    def optimiser(self):
+        return _adam(self.steps)
+
+
+@functools.cache
+def _adam(steps: int):
+    return optax.adam(optax.cosine_decay_schedule(0.2, steps))
+
+
+def clearance_for_length(arm, sol, blur):
+    """Clearance to both rims of the ring, less half of all lengths."""
+    return ikjax.objectives.worst_margin(arm, sol, blur) - 0.5 * arm.a.sum()
+
+
+def ring_2r() -> Study:
+    """Every point of a ring, clear of its rims: both links are best half of inner plus outer radius."""
+    r = np.linspace(INNER, OUTER, 64)
+    best = np.full(2, (INNER + OUTER) / 2)
+    goals, arm = ikjax.position(r, 0 * r, 0 * r, dtype=np.float64), ikjax.robots.planar_2r(0.9, 0.3)
+    vary = {"a": (LEAST, 2.0)}
+    return Study("a, 2R ring", arm, goals, vary, clearance_for_length, blur=(0.1, 1e-4), best=best)
+
+
+def ring_3r() -> Study:
+    """The same with every heading: the last link is best as short as it may be, the others as before."""
+    r, phi = np.meshgrid(np.linspace(INNER, OUTER, 16), np.linspace(-np.pi, np.pi, 17))
+    best = np.array([(INNER + OUTER) / 2] * 2 + [LEAST])
+    goals = ikjax.planar_pose(r.ravel(), 0 * r.ravel(), phi.ravel(), dtype=np.float64)
+    arm, vary = ikjax.robots.planar_3r(0.9, 0.5, 0.3), {"a": (LEAST, 2.0)}
+    return Study("a, 3R ring", arm, goals, vary, clearance_for_length, blur=(0.1, 1e-4), best=best)
+
+
+def puma() -> Study:
+    """Where half of all orientations are reached within the limits: all lengths sum up to a metre."""
+    rng = np.random.default_rng(1)
+    goals = np.tile(np.eye(4), (256, 16, 1, 1))
+    goals[:, :, :3, 3] = rng.uniform(-1, 1, (256, 3))[:, None]
+    goals[:, :, :3, :3] = ikjax.even_rotations(16)
+    vary = {"a1": (-0.02, 0.3), "a2": (0.1, 0.7), "a3": (0.005, 0.2), "d3": (0.005, 0.3), "d4": (0.1, 0.7)}
+    arm = ikjax.robots.puma560()
+    goals = jnp.asarray(goals, jnp.float32)
+    tie = ("a1 + a2 + a3 + d3 + d4 = 1",)
+    dexterity = ikjax.objectives.dexterity
+    return Study("b, PUMA dexterity", arm, goals, vary, dexterity, tie, limits=True, blur=(0.1, 0.01), **MANY)
+
+
+def workpiece() -> Study:
+    """A UR5e with a tool before a barrel 2 m long, which it cannot reach all of: base and tool are placed."""
+    along, around = np.meshgrid(np.linspace(-1, 1, 100), np.linspace(-1.2, 1.2, 100))
+    along, around = along.ravel(), around.ravel()
+    out = np.stack([-np.cos(around), 0 * around, np.sin(around)], -1)
+    goals = np.tile(np.eye(4), (len(along), 1, 1))
+    goals[:, :3, 3] = np.array([1.0, 0, 0.4]) + 0.5 * out + np.stack([0 * along, along, 0 * along], -1)
+    goals[:, :3, 2], goals[:, :3, 1] = -out, [0, 1, 0]
+    goals[:, :3, 0] = np.cross(goals[:, :3, 1], goals[:, :3, 2])
+    vary = {
+        "base.xyz": (-0.5, 0.5),
+        "base.turn": (-1.5, 1.5),
+        "tool.xyz": (-0.15, 0.15),
+        "tool.turn": (-1, 1),
+    }
+    arm = ikjax.robots.ur5e()
+    goals = jnp.asarray(goals, jnp.float32)
+    return Study(
+        "c, UR5e and a barrel", arm, goals, vary, ikjax.objectives.coverage, blur=(0.2, 0.005), **MANY
+    )
+
+
+def by_gradient(study: Study, seed: int):
+    """The exact score, its coordinates and the seconds of the climb and of its choice among starts."""
+    started = time.process_time()
+    found = ikjax.design(
+        study.arm,
+        study.goals,
+        study.vary,
+        study.objective,
+        ties=study.ties,
+        starts=study.starts,
+        steps=study.steps,
+        optimiser=study.optimiser,
+        batch=len(study.goals) // study.batch,
+        blur=study.blur,
+        limits=study.limits,
+        seed=seed,
+    )
+    return found, time.process_time() - started
+
+
+class Counter:
+    """The exact score of shares between the bounds, and the best so far by evaluations and by time."""
+
+    def __init__(self, score, enough):
+        self.score, self.enough, self.trail = score, enough, []
+        self.best, self.where, self.started = -np.inf, None, time.process_time()
+
+    def __call__(self, share) -> float:
+        share = np.clip(share, 1e-4, 1 - 1e-4)
+        value = float(self.score(np.log(share) - np.log1p(-share)))
+        if value > self.best:
+            self.best, self.where = value, share
+        self.trail.append((time.process_time() - self.started, self.best))
+        if self.enough(len(self.trail), self.trail[-1][0]):
+            raise StopIteration
+        return -value
+
+    def after(self, count: int | None = None, seconds: float | None = None) -> float:
+        kept = self.trail[:count] if count else [row for row in self.trail if row[0] <= seconds]
+        return kept[-1][1] if kept else -np.inf
+
+
+def by_rival(name: str, score, size: int, seed: int, enough) -> Counter:
+    counter, rng = Counter(score, enough), np.random.default_rng(seed)
+    try:
+        if name == "random":
+            while True:
+                counter(rng.uniform(0, 1, size))
+        settings = {"popsize": max(2, 40 // size), "maxiter": 10**6, "tol": 0, "polish": False}
+        differential_evolution(counter, [(0, 1)] * size, rng=rng, **settings)
+    except StopIteration:
+        pass
+    return counter
+
+
+def plan_of(study: Study):
+    """What `design` compiles, for a score of our own to be compiled of the same parts."""
+    arm = study.arm.astype(study.goals.dtype)
+    parameters = chosen(arm, study.vary, study.ties)
+    known = climb.Known(arm)
+    return climb.Plan(known, parameters, study.objective, (), study.optimiser, study.limits, None, 1)
+
+
+def slope_error(study: Study, values: np.ndarray) -> float:
+    """The slope of the blurred score against differences in float64, relative, at the numbers found."""
+    with jax.enable_x64(True):
+        goals = jnp.asarray(study.goals, jnp.float64)[::16]
+        plan = plan_of(study._replace(goals=goals))
+        z = jnp.asarray(np.clip(plan.parameters.coordinates(values), -4, 4))
+        score = jax.jit(lambda z: plan.score(z, goals, 0.1))
+        slope = np.asarray(jax.jit(jax.grad(lambda z: plan.score(z, goals, 0.1)))(z))
+        rough = [float(score(z + 1e-5 * e) - score(z - 1e-5 * e)) / 2e-5 for e in np.eye(len(z))]
+        return float(np.abs(slope - rough).max() / np.abs(rough).max())
+
+
+def run(study: Study, seeds: int) -> list[str]:
+    """Rows of the table."""
+    plan = plan_of(study)
+    goals = study.goals
+    compiled = jax.jit(lambda z, goals: plan.score(z, goals, 0))
+
+    def score(z):
+        return compiled(jnp.asarray(z, goals.dtype), goals)
+
+    score(np.zeros(len(plan.parameters.names)))
+    by_gradient(study, 0)  # compiles
+    rows, wins, far = [], {name: [0, 0] for name in ("random", "evolution")}, []
+    scores = {"gradient": [], "random": [], "evolution": [], "random, time": [], "evolution, time": []}
+    for seed in range(seeds):
+        found, seconds = by_gradient(study, seed)
+        scores["gradient"].append(found.score)
+        for name in wins:
+            one = by_rival(
+                name,
+                score,
+                len(found.values),
+                seed,
+                lambda n, t, s=seconds: n >= EVALUATIONS and t >= s,
+            )
+            both = one.after(count=EVALUATIONS), one.after(seconds=seconds)
+            scores[name].append(both[0])
+            scores[f"{name}, time"].append(both[1])
+            wins[name] = [w + (found.score > b) for w, b in zip(wins[name], both, strict=True)]
+            calls = sum(t <= seconds for t, _ in one.trail)
+            print(
+                f"  seed {seed} {seconds:.1f} s gradient {found.score:.6f} {name} {both[0]:.6f}, "
+                f"{both[1]:.6f} after {calls} calls in that time",
+                flush=True,
+            )
+        if study.best is not None:
+            far.append(float(np.abs(np.array(list(found.values.values())) - study.best).max()))
+    best = np.array(list(found.values.values()))
+
+    def told(name):
+        return f"{np.mean(scores[name]):.4f} ({np.min(scores[name]):.4f} to {np.max(scores[name]):.4f})"
+
+    for name in wins:
+        rows.append(
+            f"| {study.title} | {name} | {told('gradient')} | {told(name)} | {wins[name][0]} of {seeds} | "
+            f"{told(name + ', time')} | {wins[name][1]} of {seeds} |"
+        )
+    note = f"{study.title}: the given arm {found.start_score:.4f}"
+    note += f"; slope against differences {slope_error(study, best):.1e}"
+    note += f"; {found.reached.mean():.2%} of goals reached by `solve`; {seconds:.1f} s a study"
+    if far:
+        note += f"; farthest from the known optimum over seeds {max(far):.1e} m"
+    note += "; " + ", ".join(f"{k} {v:.3f}" for k, v in found.values.items())
+    return [*rows, note]
+
+
+def main() -> None:
+    reader = argparse.ArgumentParser(description=__doc__)
+    reader.add_argument("--seeds", type=int, default=10)
+    reader.add_argument("--studies", default="abc")
+    wanted = reader.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    every = {"a": [ring_2r, ring_3r], "b": [puma], "c": [workpiece]}
+    print(
+        f"{EVALUATIONS} evaluations; jax {jax.__version__}",
+        flush=True,
+    )
+    head = "| study | rival | gradient: mean (worst to best) | rival, equal evaluations | gradient wins "
+    head += "| rival, equal time | gradient wins |"
+    rows = [row for letter in wanted.studies for make in every[letter] for row in run(make(), wanted.seeds)]
+    print(head, "|---|---|---|---|---|---|---|", *(row for row in rows if row[0] == "|"), sep="\n")
+    print(*(f"\n{row}" for row in rows if row[0] != "|"), sep="\n")
+
+
+if __name__ == "__main__":
+    main()
