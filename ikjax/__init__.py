@@ -14,7 +14,7 @@ from ikjax.ik.solve import solve
 from ikjax.study import objectives
 from ikjax.study.design import design
 from ikjax.study.designed import Designed
-from ikjax.study.goals import Grid, Shell, around, even_rotations, grid, shell
+from ikjax.study.goals import Grid, Shell, around, grid, shell
 from ikjax.study.hopf import Hopf, hopf
 from ikjax.study.measures import Measure
 from ikjax.study.orientations import Cone, cone, even_rotations
