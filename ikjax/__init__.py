@@ -7,7 +7,10 @@ from ikjax.arm.jacobian import jacobian
 from ikjax.core.pose import planar_pose, pose, pose_error, position
 from ikjax.ik.check import check_goals, explain
 from ikjax.ik.margins import best_margin, limited_margins, smooth_max, smooth_min
+from ikjax.ik.project import project
+from ikjax.ik.projection import Projection
 from ikjax.ik.quality import inverse_condition, limit_distance, manipulability, sigma_min
+from ikjax.ik.refine import refine
 from ikjax.ik.select import nearest, within_limits
 from ikjax.ik.solutions import Solutions
 from ikjax.ik.solve import solve

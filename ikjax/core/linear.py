@@ -6,19 +6,28 @@ Source: the square-root-free Cholesky factorisation; Golub and Van Loan, Matrix 
 
 from collections.abc import Callable
 
+import jax.numpy as jnp
+
 from ikjax.core import safe
 from ikjax.core.trig import Scalar
 
 Row = list[Scalar]
 
 
-def solve_symmetric(matrix: list[Row], right: Row, hold: Callable[[Scalar], Scalar] = lambda x: x) -> Row:
+def solve_symmetric(
+    matrix: list[Row],
+    right: Row,
+    hold: Callable[[Scalar], Scalar] = lambda x: x,
+    floor: Scalar | None = None,
+) -> Row:
     """x with matrix x = right, for a symmetric positive definite matrix; zeros where a pivot is zero.
 
     Args:
         matrix: n rows of n entries, of which the lower triangle is looked at.
         right: n entries.
         hold: Called on each entry of the factors and of x; see `ik.graph`.
+        floor: Pivots are taken without their signs and no smaller than this, which makes any symmetric
+            matrix a positive definite one, and leaves those alone that were.
     """
     n = len(right)
     lower: list[Row] = [[0.0] * n for _ in range(n)]
@@ -34,6 +43,7 @@ def solve_symmetric(matrix: list[Row], right: Row, hold: Callable[[Scalar], Scal
         for j in range(i):
             lower[i][j] = hold(scaled[j] * inverse_pivots[j])
             pivot = pivot - scaled[j] * lower[i][j]
+        pivot = pivot if floor is None else jnp.maximum(abs(pivot), floor)
         inverse_pivots.append(hold(safe.divide(1, pivot)))
     # Each entry is held where it is whole: later ones need all of them.
     x = list(right)

@@ -5,6 +5,7 @@ cancel when read: T_base_tool = T_base_elbow @ T_elbow_tool.
 Source of the angle conventions: Craig, Introduction to Robotics, 3rd ed., section 2.8.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -107,6 +108,61 @@ def from_quaternion(wxyz: tuple[Scalar, ...]) -> Matrix:
         (s * (x * y + w * z), 1 - s * (x * x + z * z), s * (y * z - w * x)),
         (s * (x * z - w * y), s * (y * z + w * x), 1 - s * (x * x + y * y)),
     )
+
+
+def to_quaternion(m: Matrix) -> tuple[Scalar, ...]:
+    """The quaternion (w, x, y, z) of a rotation, of length 1, with either sign.
+
+    The largest component is the one that is divided by, so that none loses digits.
+    Source: Shepperd, Quaternion from rotation matrix (1978).
+    """
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = m
+    w, x, y, z = 1 + xx + yy + zz, 1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz
+    by_w, by_x = (w, zy - yz, xz - zx, yx - xy), (zy - yz, x, xy + yx, xz + zx)
+    by_y, by_z = (xz - zx, xy + yx, y, yz + zy), (yx - xy, xz + zx, yz + zy, z)
+    in_plane = [jnp.where(xx > yy, u, v) for u, v in zip(by_x, by_y, strict=True)]
+    along = [jnp.where(xx < -yy, u, v) for u, v in zip(by_z, by_w, strict=True)]
+    best = [jnp.where(zz < 0, u, v) for u, v in zip(in_plane, along, strict=True)]
+    per = safe.reciprocal_sqrt(sum(c * c for c in best))
+    return tuple(per * c for c in best)
+
+
+class Turn(NamedTuple):
+    """A rotation as a vector, and what its slopes are made of."""
+
+    vector: Vector
+    """Along the axis, as long as the angle in [0, pi] [rad]."""
+    shrink: Scalar
+    """(angle / 2) cot(angle / 2): 1 at zero, 0 at pi."""
+    bend: Scalar
+    """(1 - shrink) / angle^2."""
+
+    def rate(self, spin: Vector) -> Vector:
+        """Of the vector, while the rotation is turned on from the left at an angular velocity."""
+        ahead = vector.scale(self.bend * vector.dot(self.vector, spin), self.vector)
+        aside = vector.scale(-0.5, vector.cross(self.vector, spin))
+        return vector.add(vector.scale(self.shrink, spin), vector.add(ahead, aside))
+
+
+def turn_of(m: Matrix, hold: Callable[[Scalar], Scalar] = lambda x: x) -> Turn:
+    """The rotation as a vector, right to rounding at every angle; its slopes have their limits at zero.
+
+    `hold` is called on what many outputs share; see `ik.graph`.
+
+    Source: the logarithm of a rotation; Sola et al., A micro Lie theory (2018), (144)-(145).
+    """
+    w, x, y, z = map(hold, to_quaternion(m))
+    side = safe.sign(w)
+    w, rest = side * w, (side * x, side * y, side * z)
+    square = hold(vector.dot(rest, rest))
+    # Where half the angle is so small, the first terms of its series are exact.
+    small = square < jnp.finfo(square.dtype).eps
+    size = safe.sqrt(jnp.where(small, 1, square))
+    half = hold(atan2(size, jnp.where(small, 1, w)))
+    factor = hold(jnp.where(small, 2 + square / 3, 2 * half / size))
+    shrink = hold(jnp.where(small, 1 - square / 3, half * w / size))
+    bend = hold(jnp.where(small, 1 / 12, (1 - shrink) / (4 * half * half)))
+    return Turn(tuple(hold(factor * c) for c in rest), shrink, bend)
 
 
 def pose(xyz=(0.0, 0.0, 0.0), *, rpy=None, wxyz=None, matrix=None, dtype=None) -> jax.Array:

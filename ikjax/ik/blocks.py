@@ -1,4 +1,4 @@
-"""`solve` for an eager call: in blocks that fit the cache, every field of every slot.
+"""Eager calls: in blocks that fit the cache, every field of every slot.
 
 Storey: ik. There is one program, whatever the number of goals, so that the bits of an answer depend on its
 goal alone and a new number of goals compiles no kernel. Blocks run on as many threads as there are
@@ -11,7 +11,9 @@ import dataclasses
 import functools
 import os
 from collections import deque
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -38,41 +40,46 @@ def wide_vectors() -> dict[str, str]:
 
 def solve_blocks(arm: Arm, goals: jax.Array, q_now, tolerance: float | None) -> Solutions:
     """`Solutions` of (N, 4, 4) goals; the bits of a row do not depend on N or on its place."""
-    count = goals.shape[0]
-    # Neither the name nor the limits enter the solutions, so they need not part compiles.
-    plain = dataclasses.replace(arm, name="", limits=np.zeros((arm.n, 2), arm.dtype))
-    known, rest = plain.split()
+    # The limits do not enter the solutions, so they need not part compiles.
+    arm = dataclasses.replace(arm, limits=np.zeros((arm.n, 2), arm.dtype))
+    return in_blocks(Solving(tolerance), arm, (goals, q_now))
+
+
+def in_blocks(block: Callable[..., Any], arm: Arm, inputs):
+    """What `block` makes of each `BLOCK` of rows, put together.
+
+    Args:
+        block: Hashable by its value, because it chooses the program: (arm, rows of the inputs) -> rows.
+        arm: The arm.
+        inputs: A tree of arrays (N, ...); rows of zeros are added where they are few.
+    """
+    count = jax.tree.leaves(inputs)[0].shape[0]
+    # The name does not enter the answers.
+    known, rest = dataclasses.replace(arm, name="").split()
     rest = [jnp.asarray(leaf) for leaf in rest]
-    inputs = _padded(goals, q_now)
+    inputs = jax.tree.map(_padded, inputs)
     leaves, form = jax.tree.flatten((rest, _cut(inputs, 0, PIECE)))
-    kernel = _compiled(known, tolerance, form, tuple((x.shape, x.dtype.name) for x in leaves))
+    kernel = _compiled(block, known, form, tuple((x.shape, x.dtype.name) for x in leaves))
     if count <= PIECE:
-        return jax.tree.map(lambda x: x[:count], kernel(rest, *inputs, np.int32(-(-count // BLOCK))))
+        return jax.tree.map(lambda x: x[:count], kernel(rest, inputs, np.int32(-(-count // BLOCK))))
     # The last piece overlaps the one before: its goals get the same bits twice.
     starts = [*range(0, count - PIECE, PIECE), count - PIECE]
-    whole: Solutions | None = None
+    whole = None
     waiting: deque = deque()
     for start in [*starts, *[None] * AHEAD]:
         if start is not None:
-            piece = _pool().submit(_finished, kernel, rest, *_cut(inputs, start, PIECE), np.int32(BLOCKS))
+            piece = _pool().submit(_finished, kernel, rest, _cut(inputs, start, PIECE), np.int32(BLOCKS))
             waiting.append((start, piece))
         if waiting and (start is None or len(waiting) > AHEAD):
             place, piece = waiting.popleft()
             whole = _placed(_empty(piece.result(), count) if whole is None else whole, piece.result(), place)
-    assert whole is not None
     return whole
 
 
-def _padded(goals, q_now):
-    """At least one piece of goals."""
-    pad = PIECE - goals.shape[0]
-    if pad <= 0:
-        return goals, q_now
-    unit = jnp.broadcast_to(jnp.eye(4, dtype=goals.dtype), (pad, 4, 4))
-    goals = jnp.concatenate([goals, unit])
-    if q_now is not None:
-        q_now = jnp.concatenate([q_now, jnp.zeros((pad, q_now.shape[-1]), q_now.dtype)])
-    return goals, q_now
+def _padded(rows: jax.Array) -> jax.Array:
+    """At least one piece."""
+    pad = PIECE - rows.shape[0]
+    return rows if pad <= 0 else jnp.concatenate([rows, jnp.zeros((pad, *rows.shape[1:]), rows.dtype)])
 
 
 @functools.cache
@@ -80,7 +87,7 @@ def _pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="ikjax")
 
 
-def _finished(kernel, *arguments) -> Solutions:
+def _finished(kernel, *arguments):
     return jax.block_until_ready(kernel(*arguments))
 
 
@@ -89,44 +96,59 @@ def _cut(inputs, start, size: int):
     return jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, start, size), inputs)
 
 
-def _empty(piece: Solutions, count: int) -> Solutions:
+def _empty(piece, count: int):
     return jax.tree.map(lambda x: jnp.zeros((count, *x.shape[1:]), x.dtype), piece)
 
 
 @functools.partial(jax.jit, donate_argnums=0)
-def _placed(whole: Solutions, piece: Solutions, start) -> Solutions:
+def _placed(whole, piece, start):
     return jax.tree.map(lambda w, p: jax.lax.dynamic_update_slice_in_dim(w, p, start, 0), whole, piece)
 
 
 @functools.lru_cache(maxsize=256)
-def _compiled(known, tolerance, form, shapes):
+def _compiled(block, known, form, shapes):
     """The program of one piece. Compiled here, because threads do not see the caller's settings."""
-    rest, (goals, q_now) = jax.tree.unflatten(form, [jax.ShapeDtypeStruct(*s) for s in shapes])
+    rest, inputs = jax.tree.unflatten(form, [jax.ShapeDtypeStruct(*s) for s in shapes])
     jitted = jax.jit(_piece, static_argnums=(0, 1), compiler_options=wide_vectors())
-    return jitted.lower(known, tolerance, rest, goals, q_now, jax.ShapeDtypeStruct((), np.int32)).compile()
+    return jitted.lower(block, known, rest, inputs, jax.ShapeDtypeStruct((), np.int32)).compile()
 
 
-def _piece(known, tolerance, rest, goals, q_now, blocks) -> Solutions:
+def _piece(block, known, rest, inputs, blocks):
     """The first `blocks` blocks of a piece; the rest is left zero."""
     arm = Arm.join(known, rest)
 
-    def block(i) -> Solutions:
-        return _block(arm, tolerance, *_cut((goals, q_now), i * BLOCK, BLOCK))
+    def rows(i):
+        return block(arm, _cut(inputs, i * BLOCK, BLOCK))
 
-    shapes = jax.eval_shape(lambda: block(0))
-    empty = jax.tree.map(lambda s: jnp.zeros((goals.shape[0], *s.shape[1:]), s.dtype), shapes)
-    return jax.lax.fori_loop(0, blocks, lambda i, whole: _placed(whole, block(i), i * BLOCK), empty)
+    shapes = jax.eval_shape(lambda: rows(0))
+    empty = jax.tree.map(lambda s: jnp.zeros((PIECE, *s.shape[1:]), s.dtype), shapes)
+    return jax.lax.fori_loop(0, blocks, lambda i, whole: _placed(whole, rows(i), i * BLOCK), empty)
 
 
-def _block(arm: Arm, tolerance, goals, q_now) -> Solutions:
-    # Read in place, sixteen numbers apart, all that looks at a goal would be computed in scalars.
-    columns = with_layout_constraint(goals.reshape(BLOCK, 16).T, Layout((0, 1)))
-    entries = tuple(tuple(columns[4 * i + j] for j in range(4)) for i in range(4))
-    slots = slots_of(arm, entries, q_now, tolerance, hold=holder(entries[0][3]))
+def columns_of(rows: jax.Array) -> jax.Array:
+    """A block of rows turned to columns.
 
-    def packed(values):
-        return jnp.stack([jnp.broadcast_to(x, (BLOCK,)) for x in values]).T
+    Read in place, numbers apart, all that looks at a row would be computed in scalars.
+    """
+    return with_layout_constraint(rows.reshape(BLOCK, -1).T, Layout((0, 1)))
 
-    q = packed([x for slot in slots for x in slot.q]).reshape(BLOCK, len(slots), arm.n)
-    rest = {name: packed([getattr(slot, name) for slot in slots]) for name in FIELDS}
-    return Solutions(q=q, **rest)
+
+def packed(values) -> jax.Array:
+    """Columns (BLOCK,) as rows (BLOCK, their number)."""
+    return jnp.stack([jnp.broadcast_to(x, (BLOCK,)) for x in values]).T
+
+
+@dataclasses.dataclass(frozen=True)
+class Solving:
+    """`solve`, block by block."""
+
+    tolerance: float | None
+
+    def __call__(self, arm: Arm, rows) -> Solutions:
+        goals, q_now = rows
+        columns = columns_of(goals)
+        entries = tuple(tuple(columns[4 * i + j] for j in range(4)) for i in range(4))
+        slots = slots_of(arm, entries, q_now, self.tolerance, hold=holder(entries[0][3]))
+        q = packed([x for slot in slots for x in slot.q]).reshape(BLOCK, len(slots), arm.n)
+        rest = {name: packed([getattr(slot, name) for slot in slots]) for name in FIELDS}
+        return Solutions(q=q, **rest)

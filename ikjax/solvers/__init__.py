@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 from ikjax.solvers import (
     five_axis,
+    five_nearest,
     ortho_parallel_wrist,
     parallel_axes,
     pieper,
@@ -27,6 +28,8 @@ class Family(NamedTuple):
     """So many last joints likewise."""
     small: bool = False
     """XLA can compute all masks in one fused loop; see `ik.graph`."""
+    nearest: Callable[..., tuple[Branch, ...]] | None = None
+    """Every slot for a goal that cannot be reached, where clamping `branches` would not hold its point."""
 
 
 FAMILIES = {
@@ -36,7 +39,7 @@ FAMILIES = {
     "pieper_reversed": Family(pieper.reversed_branches, first=0, last=3),
     "parallel_axes": Family(parallel_axes.branches, first=0, last=0),
     "scara": Family(scara.branches, first=0, last=0, small=True),
-    "five_axis": Family(five_axis.branches, first=0, last=0, small=True),
+    "five_axis": Family(five_axis.branches, first=0, last=0, small=True, nearest=five_nearest.branches),
     "turret": Family(scara.turret_branches, first=0, last=0, small=True),
     "planar_pose": Family(planar.branches, first=0, last=0, small=True),
     "planar_position": Family(planar.branches, first=0, last=0, small=True),

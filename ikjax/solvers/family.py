@@ -161,19 +161,10 @@ def solve_scalars(
     Returns:
         One `Slot` for each branch of the family, in slot order.
     """
-    dtype = jnp.result_type(goal.position[0])
-    tolerance = TOLERANCE[dtype.name] if tolerance is None else tolerance
-    frame = prepare(arm)
-    tiny = 64 * float(np.finfo(dtype).eps)
-    now = coupled(arm, (0.0,) * arm.n if now is None else now)
-    fill = tuple(_now(link, value, frame, dtype) for link, value in zip(frame.links, now, strict=True))
-
-    scaled = Pose(goal.rotation, vector.scale(frame.per_reach, goal.position))
-    tip = _asked(arm.task, frame, scaled)
-    hold = hold or (lambda x: x)
-    tip = jax.tree.map(hold, tip)
-    allowed = tolerance * (1 + vector.norm(scaled.position))
-    setting = Setting(fill, frame.tool, tiny, vector.plus(tiny / 8, frame.off), frame.off, hold, share)
+    tolerance = TOLERANCE[jnp.result_type(goal.position[0]).name] if tolerance is None else tolerance
+    frame, tip, setting = _set(arm, goal, now, hold, share)
+    hold = setting.hold
+    allowed = tolerance * (1 + frame.per_reach * vector.norm(goal.position))
     turning = arm.task in TURNING
     family = FAMILIES[str(arm.family)]
     branches = family.branches(arm.signs, frame.links, tip, setting)
@@ -203,6 +194,37 @@ def solve_scalars(
             )
         )
     return tuple(slots)
+
+
+def proposed(
+    arm: Arm, goal: Pose, hold: Callable[[Scalar], Scalar] | None = None
+) -> list[tuple[Scalar, ...]]:
+    """Joints of every slot, for a goal that need not be reached: as near as the closed form comes.
+
+    Arguments as in `solve_scalars`. Nothing is measured, and the arm is taken as recognised.
+    """
+    frame, tip, setting = _set(arm, goal, None, hold, None)
+    family = FAMILIES[str(arm.family)]
+    branches = (family.nearest or family.branches)(arm.signs, frame.links, tip, setting)
+    motors = _motors(arm)
+    return [motors(_joint_values(frame, branch)) for branch in branches]
+
+
+def _set(arm: Arm, goal: Pose, now, hold, share) -> tuple[Frame, Pose, Setting]:
+    """The arm, the goal as its family is asked for it, and the rest that a family is handed."""
+    dtype = jnp.result_type(goal.position[0])
+    frame = prepare(arm)
+    tiny = 64 * float(np.finfo(dtype).eps)
+    now = coupled(arm, (0.0,) * arm.n if now is None else now)
+    fill = tuple(_now(link, value, frame, dtype) for link, value in zip(frame.links, now, strict=True))
+    hold = hold or (lambda x: x)
+    scaled = Pose(goal.rotation, vector.scale(frame.per_reach, goal.position))
+    tip = jax.tree.map(hold, _asked(arm.task, frame, scaled))
+    return (
+        frame,
+        tip,
+        Setting(fill, frame.tool, tiny, vector.plus(tiny / 8, frame.off), frame.off, hold, share),
+    )
 
 
 def _asked(task: str, frame: Frame, goal: Pose) -> Pose:

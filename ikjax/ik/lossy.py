@@ -1,0 +1,52 @@
+"""Downhill on a loss of the caller's own, by an optax optimiser.
+
+Storey: ik.
+"""
+
+import jax
+import jax.numpy as jnp
+import optax
+
+from ikjax.arm.arm import Arm
+from ikjax.arm.forward import fk
+from ikjax.core.pose import from_matrix, pose_error
+from ikjax.ik import descent
+from ikjax.ik.projection import Projection
+from ikjax.solvers.family import clean, reach
+
+
+def minimised(arm: Arm, goals: jax.Array, starts: jax.Array, loss, optimizer, steps: int) -> Projection:
+    """The best of all steps from each start (..., S, n), fields (..., S); arguments as in `refine`."""
+    optimizer = optax.adam(0.02) if optimizer is None else optimizer
+    columns = descent.into_limits(arm, tuple(starts[..., i] for i in range(arm.n)))
+    starts, size = jnp.stack(columns, axis=-1), reach(arm)
+    low, high = arm.limits[:, 0], arm.limits[:, 1]
+
+    def one(goal, q0):
+        slope = jax.value_and_grad(lambda q: loss(arm, goal, q))
+
+        def look(q, best):
+            value, grad = slope(q)
+            # A loss that is no number is no best, and its slope leads nowhere.
+            grad = jnp.where(jnp.isfinite(grad), grad, 0)
+            free = jnp.where(((q <= low) & (grad > 0)) | ((q >= high) & (grad < 0)), 0, grad)
+            now = q, value, jnp.sqrt(jnp.sum(free * free))
+            return grad, jax.tree.map(lambda new, old: jnp.where(value < best[1], new, old), now, best)
+
+        def step(carry, _):
+            q, inner, best = carry
+            grad, best = look(q, best)
+            moves, inner = optimizer.update(grad, inner, q)
+            return (jnp.clip(optax.apply_updates(q, moves), low, high), inner, best), None
+
+        none = q0, jnp.full((), jnp.inf, q0.dtype), jnp.zeros((), q0.dtype)
+        (q, _, best), _ = jax.lax.scan(step, (q0, optimizer.init(q0), none), length=steps)
+        return look(q, best)[1]
+
+    flat = starts.reshape(-1, *starts.shape[-2:])
+    found = jax.vmap(jax.vmap(one, (None, 0)))(goals.reshape(-1, 4, 4), flat)
+    q, value, steep = (x.reshape(*starts.shape[:-1], *x.shape[2:]) for x in found)
+    gap, angle = pose_error(fk(arm, q), goals[..., None, :, :])
+    _, proper = clean(from_matrix(goals), size)
+    down = proper[..., None] & jnp.isfinite(value) & (steep <= descent.CONVERGED[q.dtype.name])
+    return Projection(q, value, gap, angle, steep, down)

@@ -1,0 +1,193 @@
+"""`refine`: from given joints down to the nearest attainable pose.
+
+Storey: ik. The default descends by damped Newton steps (`ik.descent`); any other loss by an optax optimiser.
+Called eagerly, all starts take a few steps and those that are not down yet take the rest.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ikjax.arm.arm import Arm
+from ikjax.core.pose import Pose
+from ikjax.ik import blocks, descent
+from ikjax.ik.graph import Entries, entries_of, holder
+from ikjax.ik.lossy import minimised
+from ikjax.ik.projection import Projection
+from ikjax.ik.solve import as_goals, is_traced
+from ikjax.ik.stationary import with_slopes
+from ikjax.solvers.family import clean, proposed, reach
+
+STEPS = 60
+FIRST = 8
+"""Steps that every start of an eager call takes; most are down by then."""
+
+
+def refine(
+    arm: Arm,
+    goals,
+    q0,
+    length: float = 0.1,
+    *,
+    steps: int = STEPS,
+    loss=None,
+    optimizer=None,
+) -> Projection:
+    """The nearest attainable pose downhill from given joints, within the joint limits.
+
+    Minimises |dp|^2 + (length * angle)^2, dp being the way between the tool's point and the goal's and angle
+    the rotation between them. An arm whose task leaves out the orientation, or what lies off its plane, is
+    asked for the rest. A start outside the limits is first moved into them, by whole turns where that will
+    do. From there on no step makes the cost greater, beyond its rounding.
+
+    Args:
+        arm: Any arm of up to seven joints, of a family or of none.
+        goals: T_world_tool, (..., 4, 4), float32 or float64.
+        q0: (..., n) joint values to start from, or (..., S, n) for S starts of each goal.
+        length: What a radian is worth [m]; positive.
+        steps: At most so many.
+        loss: `loss(arm, goal, q)` of one goal (4, 4) and joints (n,), to minimise instead.
+        optimizer: An optax optimiser for `loss`; `optax.adam(0.02)` by default. Joints are put back into the
+            limits after each step, and the best of all steps is returned.
+
+    Returns:
+        `Projection`. Inside jit it takes all `steps` for every start. `q`, `cost` and the errors have slopes
+        in the goals and the arm's leaves, by the condition that holds at the bottom, joints at a limit
+        standing still; those of `q` are zero where it is not `converged`. With `loss` the slopes are those
+        of its steps.
+
+    Raises:
+        ValueError: Wrong shapes or types.
+    """
+    goals, arm = checked(arm, goals, length)
+    starts = jnp.asarray(q0, goals.dtype)
+    batch = goals.shape[:-2]
+    wanted = (*batch, arm.n)
+    if starts.ndim < goals.ndim or (goals.ndim == 2 and starts.ndim == 1):
+        starts = starts[..., None, :] if starts.ndim else starts
+    if starts.ndim == 0 or starts.shape[-1] != arm.n:
+        raise ValueError(f"q0 must have shape {wanted} or (..., S, {arm.n}), got {jnp.shape(q0)}")
+    try:
+        starts = jnp.broadcast_to(starts, (*batch, starts.shape[-2], arm.n))
+    except ValueError as error:
+        raise ValueError(f"q0 must have shape {wanted} or (..., S, {arm.n}), got {jnp.shape(q0)}") from error
+    if loss is not None:
+        return best_of(minimised(arm, goals, starts, loss, optimizer, steps))
+    return best_of(descended(arm, goals, starts, length, steps))
+
+
+def checked(arm: Arm, goals, length) -> tuple[jax.Array, Arm]:
+    goals = as_goals(goals)
+    if not isinstance(length, jax.core.Tracer) and not 0 < float(length) < np.inf:
+        raise ValueError(f"length must be a positive number of metres, got {length}")
+    return goals, arm.astype(goals.dtype)
+
+
+def best_of(branches: Projection) -> Projection:
+    """The start that came out lowest, and all of them."""
+    best = jnp.argmin(branches.cost, axis=-1)
+
+    def pick(x: jax.Array) -> jax.Array:
+        index = best.reshape(*best.shape, *[1] * (x.ndim - best.ndim))
+        return jnp.take_along_axis(x, index, axis=best.ndim).squeeze(best.ndim)
+
+    return Projection(**{k: pick(x) for k, x in vars(branches).items() if x is not None}, branches=branches)
+
+
+def descended(arm: Arm, goals: jax.Array, starts, length, steps: int) -> Projection:
+    """Every start (..., S, n) after its steps, fields (..., S); the closed form's own where it is None."""
+    length = jnp.asarray(length, goals.dtype)
+    if not is_traced((arm, goals, starts, length)):
+        return _in_blocks(arm, goals, starts, length, steps)
+    still = jax.lax.stop_gradient((arm, goals, starts, length))
+    arm_still = still[0] if is_traced(arm) else arm.baked()
+    columns = None if starts is None else tuple(still[2][..., i] for i in range(arm.n))
+    if columns is not None:
+        columns = tuple(jnp.moveaxis(x, -1, 0) for x in columns)
+    found = _descended(arm_still, entries_of(still[1]), columns, still[3], steps, None)
+    shape = found.cost.shape
+
+    def rows(x):
+        return jnp.moveaxis(jnp.broadcast_to(x, shape), 0, -1)
+
+    q = jnp.stack([rows(x) for x in found.q], axis=-1)
+    fields = {name: rows(getattr(found, name)) for name in FIELDS}
+    q, errors = with_slopes(arm, goals, q, length, fields["converged"])
+    return Projection(q=q, **{**fields, **errors})
+
+
+FIELDS = ("cost", "position_error", "rotation_error", "gradient_norm", "converged")
+
+
+class Found(NamedTuple):
+    """Of `Projection`, starts first."""
+
+    q: tuple
+    cost: jax.Array
+    position_error: jax.Array
+    rotation_error: jax.Array
+    gradient_norm: jax.Array
+    converged: jax.Array
+    damping: jax.Array
+
+
+def _descended(arm: Arm, entries: Entries, starts, length, steps: int, damping) -> Found:
+    """All starts of goals, whose entries are (...), each number (S, ...)."""
+    rotation, position = tuple(row[:3] for row in entries[:3]), tuple(row[3] for row in entries[:3])
+    goal, proper = clean(Pose(rotation, position), reach(arm))
+    for entry, wanted in zip(entries[3], (0, 0, 0, 1), strict=True):
+        proper &= entry == wanted
+    near = descent.held_once(holder(entries[0][3]))
+    goal = jax.tree.map(near, goal)
+    if starts is None:
+        shape = entries[0][3].shape
+        slots = proposed(arm, goal, near)
+        starts = tuple(
+            jnp.stack([jnp.broadcast_to(x, shape) for x in joint]) for joint in zip(*slots, strict=True)
+        )
+    starts = descent.into_limits(arm, starts)
+    wish = descent.Wish(jax.tree.map(lambda x: x[None], goal), length)
+    state = descent.descend(arm, wish, starts, steps, holder, damping)
+    flat = descent.steepness(arm, state.q, state.at)
+    down = proper[None] & (flat <= descent.CONVERGED[flat.dtype.name])
+    size = reach(arm)
+    return Found(
+        state.q, size * size * state.at.cost, size * state.at.gap, state.at.angle, flat, down, state.damping
+    )
+
+
+def _block(arm: Arm, rows) -> dict[str, jax.Array]:
+    """A block of goals; each row holds what a radian is worth to it, and the steps, alike in all."""
+    goals, length, steps, starts, damping = rows
+    columns = blocks.columns_of(goals)
+    entries = tuple(tuple(columns[4 * i + j] for j in range(4)) for i in range(4))
+    if starts is not None:
+        spread = blocks.columns_of(starts).reshape(*starts.shape[1:], -1)
+        starts = tuple(spread[:, i] for i in range(arm.n))
+        damping = None if damping is None else blocks.columns_of(damping)
+    found = _descended(arm, entries, starts, length[None, :, 0], steps[0, 0], damping)
+    count = found.cost.shape[0]
+    fields = {name: blocks.packed(list(getattr(found, name))) for name in (*FIELDS, "damping")}
+    q = blocks.packed([x[s] for s in range(count) for x in found.q])
+    return {**fields, "q": q.reshape(-1, count, arm.n)}
+
+
+def _in_blocks(arm: Arm, goals: jax.Array, starts, length, steps: int) -> Projection:
+    batch, flat = goals.shape[:-2], goals.reshape(-1, 4, 4)
+    worth = jnp.broadcast_to(length, (flat.shape[0], 1))
+    if starts is not None:
+        starts = starts.reshape(-1, *starts.shape[-2:])
+    few = jnp.full(worth.shape, min(steps, FIRST), jnp.int32)
+    found = blocks.in_blocks(_block, arm, (flat, worth, few, starts, None))
+    if steps > FIRST:
+        late = np.nonzero(~np.asarray(found["converged"]))
+        if late[0].size:
+            at, slot = (jnp.asarray(x) for x in late)
+            q, damping = found["q"][at, slot][:, None], found["damping"][at, slot][:, None]
+            rest = jnp.full((*at.shape, 1), steps - FIRST, jnp.int32)
+            more = blocks.in_blocks(_block, arm, (flat[at], worth[at], rest, q, damping))
+            found = {name: x.at[at, slot].set(more[name][:, 0]) for name, x in found.items()}
+    del found["damping"]
+    return Projection(**{name: x.reshape(*batch, *x.shape[1:]) for name, x in found.items()})
