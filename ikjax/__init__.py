@@ -14,6 +14,7 @@ from ikjax.ik.refine import refine
 from ikjax.ik.select import nearest, within_limits
 from ikjax.ik.solutions import Solutions
 from ikjax.ik.solve import solve
+from ikjax.ik.track import Path, track
 from ikjax.study import objectives
 from ikjax.study.design import design
 from ikjax.study.designed import Designed

@@ -11,6 +11,7 @@ import numpy as np
 from ikjax.arm import structure
 from ikjax.arm.arm import Arm
 from ikjax.ik.solve import as_goals, what_was_found
+from ikjax.solvers import FAMILIES
 from ikjax.solvers.family import ROTATION_TOLERANCE, reach
 
 FAR = 1000
@@ -73,10 +74,18 @@ def check_goals(arm: Arm, goals) -> None:
         )
 
 
+_HELD = (
+    "project starts from each branch with the goal's point held and the nearest orientation that allows; "
+    "that the best of where they lead is the nearest of all poses was measured on samples, not proved."
+)
+_CLAMPED = "project starts from each branch, clamped where it does not reach; nothing more is proved."
+_SCATTERED = "project starts from 64 fixed joints spread over the limits; nothing more is proved."
+
+
 def explain(arm: Arm) -> str:
     """Which closed form solves the arm, why, and what its branches are, as text to print."""
     if arm.family is None:
-        return f"{arm.name} has no closed form here.\n{what_was_found(arm)}"
+        return f"{arm.name} has no closed form here.\n{what_was_found(arm)}\n{_SCATTERED}"
     rule = structure.RULES[arm.family]
     lines = [f"{arm.name} is solved by {arm.family}: {rule.summary}.", "Because:"]
     numbers = {key: np.asarray(getattr(arm, key)) for key in ("a", "alpha", "d", "theta", "tool")}
@@ -92,6 +101,7 @@ def explain(arm: Arm) -> str:
         )
     if arm.coupling is not None:
         lines.append("Joints are coupled: q holds motor values.")
+    lines.append(_HELD if FAMILIES[arm.family].nearest else _CLAMPED)
     lines.append(f"Branches ({len(arm.branches)}):")
     lines += [f"  {slot}  {name}" for slot, name in enumerate(arm.branches)]
     return "\n".join(lines)

@@ -46,7 +46,8 @@ def refine(
         arm: Any arm of up to seven joints, of a family or of none.
         goals: T_world_tool, (..., 4, 4), float32 or float64.
         q0: (..., n) joint values to start from, or (..., S, n) for S starts of each goal.
-        length: What a radian is worth [m]; positive.
+        length: What a radian is worth [m]; positive. A short one holds the point and a long one the
+            orientation, each to about its square over a square length of the arm.
         steps: At most so many.
         loss: `loss(arm, goal, q)` of one goal (4, 4) and joints (n,), to minimise instead.
         optimizer: An optax optimiser for `loss`; `optax.adam(0.02)` by default. Joints are put back into the
@@ -133,20 +134,32 @@ class Found(NamedTuple):
     damping: jax.Array
 
 
-def _descended(arm: Arm, entries: Entries, starts, length, steps: int, damping) -> Found:
+def _descended(arm: Arm, entries: Entries, starts, length, steps, damping) -> Found:
     """All starts of goals, whose entries are (...), each number (S, ...)."""
+    goal, proper, near = asked(arm, entries)
+    starts = proposals(arm, goal, near) if starts is None else starts
+    return from_starts(arm, goal, proper, starts, length, steps, damping)
+
+
+def asked(arm: Arm, entries: Entries):
+    """The goal in scalars, whether it is a pose, and what holds numbers of its shape."""
     rotation, position = tuple(row[:3] for row in entries[:3]), tuple(row[3] for row in entries[:3])
     goal, proper = clean(Pose(rotation, position), reach(arm))
     for entry, wanted in zip(entries[3], (0, 0, 0, 1), strict=True):
         proper &= entry == wanted
     near = descent.held_once(holder(entries[0][3]))
-    goal = jax.tree.map(near, goal)
-    if starts is None:
-        shape = entries[0][3].shape
-        slots = proposed(arm, goal, near)
-        starts = tuple(
-            jnp.stack([jnp.broadcast_to(x, shape) for x in joint]) for joint in zip(*slots, strict=True)
-        )
+    return jax.tree.map(near, goal), proper, near
+
+
+def proposals(arm: Arm, goal: Pose, near) -> tuple[jax.Array, ...]:
+    """The closed form's joints, each (S, ...)."""
+    shape = goal.position[0].shape
+    columns = zip(*proposed(arm, goal, near), strict=True)
+    return tuple(jnp.stack([jnp.broadcast_to(x, shape) for x in column]) for column in columns)
+
+
+def from_starts(arm: Arm, goal: Pose, proper, starts, length, steps, damping) -> Found:
+    """All starts after their steps."""
     starts = descent.into_limits(arm, starts)
     wish = descent.Wish(jax.tree.map(lambda x: x[None], goal), length)
     state = descent.descend(arm, wish, starts, steps, holder, damping)

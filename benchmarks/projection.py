@@ -1,0 +1,99 @@
+"""The nearest attainable pose: `python benchmarks/projection.py [ARM ...] [--goals N]`.
+
+For each arm: rates of the closed form alone and of the refined projection with every branch; the share of
+goals whose slope is zero; and the cost against the best of 64 bounded least squares of scipy from random
+joints.
+"""
+
+import argparse
+import time
+
+import clock
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+import ikjax
+
+LENGTH = 0.1
+
+
+def goals_of(arm, count: int, seed: int = 0) -> np.ndarray:
+    """Points of the arm's workspace, up to 1.2 times as far out, with even orientations."""
+    rng = np.random.default_rng(seed)
+    low, high = np.clip(np.array(arm.limits).T, -np.pi, np.pi)
+    goals = np.array(ikjax.fk(arm, rng.uniform(low, high, (count, arm.n))))
+    goals[:, :3, :3] = Rotation.random(count, random_state=seed).as_matrix()
+    goals[:, :3, 3] *= rng.uniform(0.6, 1.2, (count, 1))
+    return goals
+
+
+class Table:
+    """The arm in numpy, for scipy's thousands of single calls."""
+
+    def __init__(self, arm):
+        self.a, self.alpha, self.d, self.theta = (np.array(x) for x in (arm.a, arm.alpha, arm.d, arm.theta))
+        self.base, self.tool, self.limits = np.array(arm.base), np.array(arm.tool), np.array(arm.limits).T
+
+    def fk(self, q):
+        T = self.base
+        for a, alpha, d, angle in zip(self.a, self.alpha, self.d, self.theta + q, strict=True):
+            c, s, ca, sa = np.cos(angle), np.sin(angle), np.cos(alpha), np.sin(alpha)
+            rows = [[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0, sa, ca, d], [0, 0, 0, 1]]
+            T = T @ np.array(rows)
+        return T @ self.tool
+
+
+def best_of_starts(table: Table, goal: np.ndarray, starts: int, rng) -> float:
+    """The least cost that scipy finds."""
+
+    def residual(q):
+        T = table.fk(q)
+        turn = Rotation.from_matrix(T[:3, :3] @ goal[:3, :3].T).as_rotvec()
+        return np.concatenate([T[:3, 3] - goal[:3, 3], LENGTH * turn])
+
+    low, high = table.limits
+    costs = []
+    for _ in range(starts):
+        start = rng.uniform(np.clip(low, -np.pi, None), np.clip(high, None, np.pi))
+        found = least_squares(residual, start, bounds=(low, high), xtol=1e-15, ftol=1e-15, gtol=1e-12)
+        costs.append(2 * found.cost)
+    return min(costs)
+
+
+def main() -> None:
+    """Print a table."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("arms", nargs="*", default=["so101", "motoman_l3"])
+    parser.add_argument("--goals", type=int, default=200_000)
+    parser.add_argument("--rivals", type=int, default=200)
+    parser.add_argument("--starts", type=int, default=64)
+    given = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    for name in given.arms:
+        arm = ikjax.robots.get(name)
+        goals = goals_of(arm, given.goals)
+        for dtype in ("float32", "float64"):
+            batch = jnp.asarray(goals, dtype)
+            for what, steps in (("closed form", 0), ("refined", 60)):
+                call = clock.blocking(lambda b=batch, s=steps, a=arm: ikjax.project(a, b, LENGTH, steps=s).q)
+                _, first = clock.once(call)
+                rate = clock.measure(call, 3).rate(given.goals)
+                print(f"{name} {dtype} {what}: {rate:.3f} M goals/s (first call {first:.1f} s)", flush=True)
+            near = ikjax.project(arm, batch, LENGTH)
+            print(f"{name} {dtype} slope zero: {float(near.converged.mean()):.6f} of goals", flush=True)
+        few = goals[: given.rivals]
+        near = ikjax.project(arm, few, LENGTH)
+        table, rng, started = Table(arm), np.random.default_rng(1), time.perf_counter()
+        theirs = np.array([best_of_starts(table, goal, given.starts, rng) for goal in few])
+        seconds = (time.perf_counter() - started) / len(few)
+        share = np.array(near.cost) / theirs - 1
+        print(f"{name}: {len(few)} goals, the best of {given.starts} scipy starts, {seconds:.2f} s a goal")
+        print(f"  ours worse by 1e-8: {np.mean(share > 1e-8):.4f} of goals, at most by {share.max():.2g}")
+        print(f"  ours better by 1e-8: {np.mean(share < -1e-8):.4f} of goals", flush=True)
+
+
+if __name__ == "__main__":
+    main()
