@@ -77,8 +77,9 @@ def main() -> None:
         goals = goals_of(arm, given.goals)
         for dtype in ("float32", "float64"):
             batch = jnp.asarray(goals, dtype)
-            for what, steps in (("closed form", 0), ("refined", 60)):
-                call = clock.blocking(lambda b=batch, s=steps, a=arm: ikjax.project(a, b, LENGTH, steps=s).q)
+            for what, steps, beside in (("closed form", 0, 0), ("branches", 60, 0), ("default", 60, None)):
+                options = {"steps": steps, "beside": beside}
+                call = clock.blocking(lambda b=batch, o=options, a=arm: ikjax.project(a, b, LENGTH, **o).q)
                 _, first = clock.once(call)
                 rate = clock.measure(call, 3).rate(given.goals)
                 print(f"{name} {dtype} {what}: {rate:.3f} M goals/s (first call {first:.1f} s)", flush=True)

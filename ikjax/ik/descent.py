@@ -124,10 +124,10 @@ def _angle(arm: Arm, squared: Scalar) -> Scalar:
     return safe.sqrt(squared) if arm.task in TURNING else jnp.zeros_like(squared)
 
 
-def errors(arm: Arm, wish: Wish, q: Joints) -> tuple[Scalar, Scalar, Scalar]:
+def errors(arm: Arm, wish: Wish, q: Joints, hold: Hold) -> tuple[Scalar, Scalar, Scalar]:
     """Cost [m^2], distance [m] and angle [rad] at joints q, for their slopes."""
-    tool = poses.compose(chain(arm, q).last, fixed_pose(arm.tool))
-    gap, turn = _gap(arm, wish, tool, 1.0), _turn(wish, tool)
+    tool = jax.tree.map(hold, poses.compose(chain(arm, q, hold).last, fixed_pose(arm.tool)))
+    gap, turn = _gap(arm, wish, tool, 1.0), _turn(wish, tool, hold)
     far, turned = vector.dot(gap, gap), vector.dot(turn.vector, turn.vector)
     return far + _worth(arm, wish, 1.0) * turned, safe.sqrt(far), _angle(arm, turned)
 

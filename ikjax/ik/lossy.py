@@ -36,7 +36,9 @@ def minimised(arm: Arm, goals: jax.Array, starts: jax.Array, loss, optimizer, st
         def step(carry, _):
             q, inner, best = carry
             grad, best = look(q, best)
-            moves, inner = optimizer.update(grad, inner, q)
+            # Optax mixes types as the caller's settings may forbid.
+            with jax.numpy_dtype_promotion("standard"):
+                moves, inner = optimizer.update(grad, inner, q)
             return (jnp.clip(optax.apply_updates(q, moves), low, high), inner, best), None
 
         none = q0, jnp.full((), jnp.inf, q0.dtype), jnp.zeros((), q0.dtype)

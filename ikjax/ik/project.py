@@ -3,6 +3,7 @@
 Storey: ik. The closed form finds the basins, Newton's steps go to their bottoms.
 """
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -10,19 +11,22 @@ from ikjax.arm.arm import Arm
 from ikjax.ik.projection import Projection
 from ikjax.ik.refine import STEPS, best_of, checked, descended
 
-SCATTERED = 64
-"""Starts for an arm without a closed form."""
+SCATTERED, BESIDE = 64, 28
+"""Starts for an arm without a closed form, and beside the branches of an arm with limits."""
 
 
-def project(arm: Arm, goals, length: float = 0.1, *, steps: int = STEPS) -> Projection:
+def project(
+    arm: Arm, goals, length: float = 0.1, *, steps: int = STEPS, beside: int | None = None
+) -> Projection:
     """The attainable pose nearest to each goal, within the joint limits.
 
     Nearest is what minimises |dp|^2 + (length * angle)^2; see `refine`. Every branch of the closed form is a
     start: for five joints of family `five_axis` with the goal's point held and the orientation as near as
     that allows (the nearest reachable point where it is out of reach), for all other families the branches of
-    `solve`, clamped. An arm without a family starts from 64 joints, spread over its limits and always the
-    same. Every branch ends where no small move improves it; that the best is the nearest of all poses was
-    measured, and is proved for none.
+    `solve`, clamped. Joint limits make basins that no branch leads to: `beside` adds starts that are spread
+    over them, always the same. An arm without a family starts from 64 such. Each start ends where no small
+    move improves it; that the best is the nearest of all poses is not proved. On an SO-101 within its limits
+    the best of 64 random starts was nearer for 9 of 2,048 wild goals.
 
     Args:
         arm: Any arm of up to seven joints.
@@ -30,19 +34,35 @@ def project(arm: Arm, goals, length: float = 0.1, *, steps: int = STEPS) -> Proj
         length: What a radian is worth [m]; positive.
         steps: At most so many steps of refinement from each branch; with none, the closed form alone.
 
+        beside: So many starts beside the branches; 28 by default for an arm with limits that is refined, else
+            none. They are most of the work.
+
     Returns:
-        `Projection`: the best branch, and all of them as `.branches`, (..., S) with S = len(arm.branches).
-        Slopes as in `refine`.
+        `Projection`: the best branch, and all of them as `.branches`, (..., S): first those of the arm, in
+        their order, then the starts beside them. Slopes as in `refine`.
 
     Raises:
         ValueError: Wrong shapes or types.
     """
     goals, arm = checked(arm, goals, length)
-    starts = scattered(arm, goals.shape[:-2]) if arm.family is None else None
-    return best_of(descended(arm, goals, starts, length, steps))
+    if arm.family is None:
+        starts = scattered(arm, goals.shape[:-2], SCATTERED if beside is None else beside)
+        return best_of(descended(arm, goals, starts, length, steps))
+    found = descended(arm, goals, None, length, steps)
+    if beside is None:
+        beside = BESIDE if steps and _limited(arm) else 0
+    if beside:
+        more = descended(arm, goals, scattered(arm, goals.shape[:-2], beside), length, steps)
+        axis = goals.ndim - 2
+        found = jax.tree.map(lambda x, y: jnp.concatenate([x, y], axis), found, more)
+    return best_of(found)
 
 
-def scattered(arm: Arm, batch: tuple[int, ...]):
+def _limited(arm: Arm) -> bool:
+    return isinstance(arm.limits, jax.core.Tracer) or bool(np.isfinite(np.asarray(arm.limits)).any())
+
+
+def scattered(arm: Arm, batch: tuple[int, ...], count: int):
     """Joints spread evenly over the limits, the same for every goal, (..., S, n).
 
     Source: the additive recurrence R_d of Roberts, The unreasonable effectiveness of quasirandom
@@ -51,7 +71,7 @@ def scattered(arm: Arm, batch: tuple[int, ...]):
     root = 1.5
     for _ in range(64):
         root = (1 + root) ** (1 / (arm.n + 1))
-    shares = np.outer(np.arange(1, SCATTERED + 1), root ** -np.arange(1.0, arm.n + 1)) % 1
+    shares = np.outer(np.arange(1, count + 1), root ** -np.arange(1.0, arm.n + 1)) % 1
     low, high = arm.limits[:, 0], arm.limits[:, 1]
     widest = jnp.asarray([np.pi if kind == "R" else 1 for kind in arm.kinds], arm.dtype)
     low, high = jnp.maximum(low, -widest)[None], jnp.minimum(high, widest)[None]

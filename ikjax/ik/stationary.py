@@ -21,6 +21,7 @@ from ikjax.core import vector
 from ikjax.core.linear import solve_symmetric
 from ikjax.core.pose import Pose
 from ikjax.ik import descent
+from ikjax.ik.graph import holder
 from ikjax.solvers.family import clean, reach
 
 
@@ -30,7 +31,7 @@ def with_slopes(arm: Arm, goals, q, length, converged):
     goal = _as_moved(goals, reach(arm))
     wish = descent.Wish(jax.tree.map(lambda x: x[None], goal), length)
     columns = _columns(q)
-    cost, gap, angle = descent.errors(arm, wish, columns)
+    cost, gap, angle = descent.errors(arm, wish, columns, _hold(columns))
     fields = {"cost": cost, "position_error": gap, "rotation_error": angle}
     return q, {name: jnp.moveaxis(x, 0, -1) for name, x in fields.items()}
 
@@ -38,6 +39,10 @@ def with_slopes(arm: Arm, goals, q, length, converged):
 def _columns(q) -> tuple[jax.Array, ...]:
     """Starts first."""
     return tuple(jnp.moveaxis(q[..., i], -1, 0) for i in range(q.shape[-1]))
+
+
+def _hold(columns):
+    return descent.held_once(holder(columns[0]))
 
 
 def _as_moved(goals, size) -> Pose:
@@ -75,7 +80,7 @@ def _(primals, tangents):
 
     def slope(arm, goals):
         goal = jax.tree.map(lambda x: x[None], _as_moved(goals, reach(arm)))
-        return descent.standing(arm, descent.Wish(goal, length), columns)
+        return descent.standing(arm, descent.Wish(goal, length), columns, _hold(columns))
 
     moved_arm = dataclasses.replace(tangents[0], limits=jnp.zeros_like(arm.limits))
     at, rate = jax.jvp(slope, (arm, goals), (moved_arm, tangents[1]))
