@@ -131,7 +131,8 @@ def test_a_loss_of_ones_own_is_minimised_within_limits():
     near = ikjax.refine(ARM, goals, q0, loss=posture, optimizer=optax.adam(0.03), steps=300)
     begun = jax.vmap(lambda g, q: posture(ARM, g, q))(jnp.asarray(goals), jnp.asarray(q0))
     assert (near.cost < begun).all() and near.gradient_norm.max() < 1e-2
-    assert ((near.q >= LOW) & (near.q <= HIGH)).all()
+    q = np.array(near.q)
+    assert ((q >= LOW) & (q <= HIGH)).all()
 
 
 def test_a_goal_that_is_no_pose_is_not_converged_and_leaves_its_neighbours():

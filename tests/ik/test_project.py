@@ -1,0 +1,157 @@
+"""The nearest attainable pose: closed form held against brute force, and the bottoms that Newton reaches."""
+
+import functools
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+import ikjax
+
+LENGTH = 0.1
+L3 = ikjax.robots.get("motoman_l3")
+
+
+def wild(arm, count, seed=0, share=(0.5, 1.3)):
+    """Goals about the arm's workspace, some beyond it, turned anyhow."""
+    rng = np.random.default_rng(seed)
+    low, high = np.clip(np.array(arm.limits).T, -np.pi, np.pi)
+    goals = np.array(ikjax.fk(arm, rng.uniform(low, high, (count, arm.n))))
+    goals[:, :3, :3] = Rotation.random(count, random_state=seed).as_matrix()
+    goals[:, :3, 3] *= rng.uniform(*share, (count, 1))
+    return goals
+
+
+@functools.cache
+def projected(steps=60):
+    goals = wild(L3, 500)
+    return goals, ikjax.project(L3, goals, LENGTH, steps=steps)
+
+
+def reachable():
+    goals, _ = projected()
+    distance = np.linalg.norm(goals[:, :3, 3], axis=1)
+    return (distance > 0.11) & (distance < 0.69)
+
+
+def test_the_closed_form_holds_the_point_with_the_nearest_orientation():
+    goals, near = projected(0)
+    inside = reachable()
+    assert 100 < inside.sum() < 500
+    assert near.branches.position_error[inside].min(-1).max() < 1e-12
+    # No other roll does better at the pitch that was taken.
+    q = np.array(near.branches.q)[inside]
+    for slot in range(4):
+        best = q[:, slot]
+        held = np.array(near.branches.position_error)[inside, slot] < 1e-12
+        errors = []
+        for turn in np.linspace(-np.pi, np.pi, 181):
+            moved = best.copy()
+            moved[:, 4] += turn
+            _, angle = ikjax.pose_error(ikjax.fk(L3, moved), goals[inside])
+            errors.append(np.array(angle))
+        assert (np.min(errors, 0) >= np.array(near.branches.rotation_error)[inside, slot] - 1e-12)[held].all()
+
+
+def test_it_is_craigs_projection_where_his_applies():
+    """Craig, section 4.7: the tool's axis is turned into the plane that the arm and the point allow."""
+    goals, near = projected(0)
+    point, axis = goals[:, :3, 3], goals[:, :3, 2]
+    square = np.stack([-point[:, 1], point[:, 0], 0 * point[:, 0]], -1)
+    square /= np.linalg.norm(square, axis=1, keepdims=True)
+    into = axis - np.sum(axis * square, -1, keepdims=True) * square
+    into /= np.linalg.norm(into, axis=1, keepdims=True)
+    inside = reachable()
+    mine = np.array(ikjax.fk(L3, near.branches.q))[:, :, :3, 2]
+    np.testing.assert_allclose(
+        mine[inside], np.broadcast_to(into[inside, None], mine[inside].shape), atol=1e-9
+    )
+
+
+def test_a_point_out_of_reach_is_approached_along_its_direction():
+    goals, near = projected(0)
+    distance = np.linalg.norm(goals[:, :3, 3], axis=1)
+    beyond = distance > 0.71
+    assert beyond.sum() > 20
+    np.testing.assert_allclose(
+        near.branches.position_error[beyond].min(-1), distance[beyond] - 0.7, atol=1e-9
+    )
+
+
+def test_refinement_ends_at_a_bottom_and_only_gains():
+    _, near = projected()
+    _, closed = projected(0)
+    assert near.converged.mean() >= 0.999 and near.gradient_norm[near.converged].max() <= 1e-8
+    assert (near.branches.cost <= closed.branches.cost * (1 + 1e-12) + 1e-30).all()
+    assert (near.cost < 0.9 * closed.cost).mean() > 0.2
+
+
+def multi_start(arm, goal, count, seed):
+    """The best of `count` bounded least squares from random joints."""
+    rng = np.random.default_rng(seed)
+    low, high = np.array(arm.limits).T
+
+    def residual(q):
+        T = numpy_fk(q)
+        turn = Rotation.from_matrix(T[:3, :3] @ goal[:3, :3].T).as_rotvec()
+        return np.concatenate([T[:3, 3] - goal[:3, 3], LENGTH * turn])
+
+    table = [np.array(getattr(arm, name)) for name in ("a", "alpha", "d", "theta", "base", "tool")]
+
+    def numpy_fk(q):
+        a, alpha, d, theta, base, tool = table
+        T = base
+        for i in range(len(a)):
+            c, s = np.cos(theta[i] + q[i]), np.sin(theta[i] + q[i])
+            ca, sa = np.cos(alpha[i]), np.sin(alpha[i])
+            rows = [[c, -s * ca, s * sa, a[i] * c], [s, c * ca, -c * sa, a[i] * s]]
+            T = T @ np.array([*rows, [0, sa, ca, d[i]], [0, 0, 0, 1]])
+        return T @ tool
+
+    best = np.inf
+    for _ in range(count):
+        start = rng.uniform(np.clip(low, -np.pi, None), np.clip(high, None, np.pi))
+        found = least_squares(residual, start, bounds=(low, high), xtol=1e-15, ftol=1e-15, gtol=1e-12)
+        best = min(best, 2 * found.cost)
+    return best
+
+
+@pytest.mark.parametrize("name", ["motoman_l3"])
+def test_no_multi_start_finds_a_nearer_pose(name):
+    goals, near = projected()
+    for k in range(4):
+        best = multi_start(L3, goals[k], 8, k)
+        assert near.cost[k] <= best * (1 + 1e-8)
+
+
+def test_goals_that_the_arm_reaches_are_reached():
+    q = np.random.default_rng(5).uniform(-3, 3, (500, 5))
+    near = ikjax.project(L3, ikjax.fk(L3, q), LENGTH)
+    assert near.cost.max() < 1e-20 and near.converged.all()
+    off = np.abs((near.branches.q - q[:, None] + np.pi) % (2 * np.pi) - np.pi).max(-1).min(-1)
+    assert np.quantile(off, 0.99) < 1e-7
+
+
+OTHERS = {
+    "stanford": ikjax.robots.get("stanford"),
+    "none": ikjax.Arm.from_dh(
+        a=[0.1, 0.3, 0.2, 0.05, 0],
+        alpha=[1.0, 0.7, -1.1, 1.3, 0],
+        d=[0.2, 0.05, 0.1, 0.1, 0.1],
+        convention="standard",
+    ),
+}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", OTHERS)
+def test_other_arms_are_projected_likewise(name):
+    arm = OTHERS[name]
+    goals = wild(arm, 100, share=(0.9, 1.5))
+    near = ikjax.project(arm, goals, LENGTH)
+    assert near.converged.mean() > 0.99
+    low, high = np.array(arm.limits).T
+    assert ((near.q >= low) & (near.q <= high)).all()
+    for k in range(3):
+        assert near.cost[k] <= multi_start(arm, goals[k], 8, k) * (1 + 1e-8)
