@@ -41,17 +41,14 @@ def test_the_closed_form_holds_the_point_with_the_nearest_orientation():
     assert 100 < inside.sum() < 500
     assert near.branches.position_error[inside].min(-1).max() < 1e-12
     # No other roll does better at the pitch that was taken.
-    q = np.array(near.branches.q)[inside]
+    some = np.flatnonzero(inside)[:40]
+    turns = np.linspace(-np.pi, np.pi, 181)[:, None, None] * (np.arange(5) == 4)
     for slot in range(4):
-        best = q[:, slot]
-        held = np.array(near.branches.position_error)[inside, slot] < 1e-12
-        errors = []
-        for turn in np.linspace(-np.pi, np.pi, 181):
-            moved = best.copy()
-            moved[:, 4] += turn
-            _, angle = ikjax.pose_error(ikjax.fk(L3, moved), goals[inside])
-            errors.append(np.array(angle))
-        assert (np.min(errors, 0) >= np.array(near.branches.rotation_error)[inside, slot] - 1e-12)[held].all()
+        _, angle = ikjax.pose_error(ikjax.fk(L3, np.array(near.branches.q)[some, slot] + turns), goals[some])
+        held = np.array(near.branches.position_error)[some, slot] < 1e-12
+        assert held.sum() > 10
+        least = np.array(near.branches.rotation_error)[some, slot]
+        assert (np.array(angle).min(0) >= least - 1e-12)[held].all()
 
 
 def test_it_is_craigs_projection_where_his_applies():
