@@ -204,7 +204,9 @@ def test_a_bad_goal_leaves_its_neighbours_as_they_are():
     np.testing.assert_array_equal(sol.q[rest], alone.q[rest])
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if "lateral" in name else pytest.mark.long) for name in NAMES]
+)
 def test_slopes_are_finite_at_each_singularity(name):
     arm = every.build(name)
     goals = jnp.asarray(ladders(name)[::25])

@@ -274,8 +274,8 @@ def test_damping_bounds_the_slope_at_a_singularity():
     assert 0 < off[ok].max() < 1e-2
 
 
-MARGINS = ("puma560", "RRR, wrist", "2R", "3R")
-MORE_MARGINS = ("ur5", "SCARA RRPR", "2, 3, 4 parallel")
+MARGINS = ("puma560", "RRR, point", "2R", "3R")
+MORE_MARGINS = ("ur5", "RRR, wrist", "SCARA RRPR", "2, 3, 4 parallel")
 
 
 @pytest.mark.parametrize(

@@ -239,7 +239,8 @@ def mounted(tmp_path):
             ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(folder)], capture_output=True
         )
 
-    if shutil.which("mount") is None or mount("size=96k").returncode:
+    # Room for the documents and some of the units, a page for each file.
+    if shutil.which("mount") is None or mount("size=160k").returncode:
         pytest.skip("only who may mount can fill a disk")
     yield folder, lambda options: mount(f"remount,{options}").check_returncode()
     subprocess.run(["umount", str(folder)], check=True)
