@@ -77,14 +77,14 @@ def asked(arm: Arm, found: Chain, per_length: Scalar) -> Callable[[Twist], tuple
             return (*linear, *angular)
         if arm.task == "position":
             return linear
-        x, y, up = _plane(arm, found)
+        x, y, up = plane(arm, found)
         ahead = vector.dot(x, linear), vector.dot(y, linear)
         return ahead if arm.task == "planar_position" else (*ahead, vector.dot(up, angular))
 
     return rows
 
 
-def _plane(arm: Arm, found: Chain) -> tuple[Vector, Vector, Vector]:
+def plane(arm: Arm, found: Chain) -> tuple[Vector, Vector, Vector]:
     """Two directions of the plane that a planar arm moves in, and the one square to it."""
     axes = [_axis(frame, 2) for frame in found.before]
     x = _axis(found.before[0], 0) if arm.kinds[0] == "R" else axes[0]

@@ -26,7 +26,7 @@ import jax.numpy as jnp
 
 from ikjax.arm import rates
 from ikjax.arm.arm import Arm, numbers
-from ikjax.arm.forward import chain, fixed_pose
+from ikjax.arm.forward import Chain, chain, fixed_pose
 from ikjax.core import pose as poses
 from ikjax.core import safe, vector
 from ikjax.core.linear import solve_symmetric
@@ -92,7 +92,7 @@ def standing(arm: Arm, wish: Wish, q: Joints, hold: Hold = lambda x: x) -> Stand
     found = chain(arm, q, hold)
     tool = poses.compose(found.last, fixed_pose(arm.tool))
     tool = jax.tree.map(hold, tool)
-    gap = tuple(map(hold, _gap(arm, wish, tool, per)))
+    gap = tuple(map(hold, _gap(arm, found, wish, tool, per)))
     worth = _worth(arm, wish, per)
     turn = _turn(wish, tool, hold)
     twists = [
@@ -126,8 +126,9 @@ def _angle(arm: Arm, squared: Scalar) -> Scalar:
 
 def errors(arm: Arm, wish: Wish, q: Joints, hold: Hold) -> tuple[Scalar, Scalar, Scalar]:
     """Cost [m^2], distance [m] and angle [rad] at joints q, for their slopes."""
-    tool = jax.tree.map(hold, poses.compose(chain(arm, q, hold).last, fixed_pose(arm.tool)))
-    gap, turn = _gap(arm, wish, tool, 1.0), _turn(wish, tool, hold)
+    found = chain(arm, q, hold)
+    tool = jax.tree.map(hold, poses.compose(found.last, fixed_pose(arm.tool)))
+    gap, turn = _gap(arm, found, wish, tool, 1.0), _turn(wish, tool, hold)
     far, turned = vector.dot(gap, gap), vector.dot(turn.vector, turn.vector)
     return far + _worth(arm, wish, 1.0) * turned, safe.sqrt(far), _angle(arm, turned)
 
@@ -143,12 +144,12 @@ def _worth(arm: Arm, wish: Wish, per: Scalar) -> Scalar:
     return length * length if arm.task in TURNING else 0.0 * length
 
 
-def _gap(arm: Arm, wish: Wish, tool: Pose, per: Scalar) -> vector.Vector:
+def _gap(arm: Arm, found: Chain, wish: Wish, tool: Pose, per: Scalar) -> vector.Vector:
     """From the goal's point to the tool's; an arm that moves in a plane is asked for what lies in it."""
     gap = vector.scale(per, vector.subtract(tool.position, wish.goal.position))
     if not arm.task.startswith("planar"):
         return gap
-    up = vector.transpose(fixed_pose(arm.base).rotation)[2]
+    up = rates.plane(arm, found)[2]
     return vector.subtract(gap, vector.scale(vector.dot(up, gap), up))
 
 

@@ -1,7 +1,10 @@
 """The nearest attainable pose: closed form held against brute force, and the bottoms that Newton reaches."""
 
+import dataclasses
 import functools
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
@@ -128,6 +131,32 @@ def test_goals_that_the_arm_reaches_are_reached():
     assert near.cost.max() < 1e-20 and near.converged.all()
     off = np.abs((near.branches.q - q[:, None] + np.pi) % (2 * np.pi) - np.pi).max(-1).min(-1)
     assert np.quantile(off, 0.99) < 1e-7
+
+
+def test_slopes_of_every_branch_are_those_of_differences_and_zero_where_there_is_no_goal():
+    goals = jnp.asarray(np.concatenate([wild(L3, 8), np.full((1, 4, 4), np.nan)]))
+    x, y, z = 0.7, -0.4, 0.5
+    spin = jnp.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+
+    @jax.jit
+    def both(t):
+        def answer(t):
+            a = L3.a + t * jnp.array([0, 0.3, -0.2, 0, 0])
+            alpha = L3.alpha + t * jnp.array([0, 0.2, -0.1, 0, 0.3])
+            turn = jnp.eye(3) + t * spin + t * t * spin @ spin / 2 + t**3 * spin @ spin @ spin / 6
+            moved = goals.at[:, :3, :3].set(turn @ goals[:, :3, :3]).at[:, :3, 3].add(0.3 * t)
+            near = ikjax.project(dataclasses.replace(L3, a=a, alpha=alpha), moved, LENGTH, beside=0).branches
+            return near.q, near.cost, near.position_error, near.rotation_error
+
+        return jax.jvp(answer, (t,), (jnp.ones_like(t),))
+
+    slopes, step = both(0.0)[1], 1e-4
+    near, far = ([both(sign * k * step)[0] for sign in (1, -1)] for k in (1, 2))
+    for slope, ahead, behind, further, before in zip(slopes, *near, *far, strict=True):
+        rough = (8 * (ahead - behind) - (further - before)) / (12 * step)
+        np.testing.assert_allclose(slope[:-1], rough[:-1], atol=2e-4 * (1 + np.abs(rough[:-1]).max()))
+        assert np.isfinite(slope).all()
+    assert not slopes[0][-1].any() and np.abs(slopes[0][:-1]).max() > 0.1
 
 
 OTHERS = {

@@ -14,6 +14,7 @@ import ikjax
 from ikjax.core import pose as poses
 from ikjax.core.linear import solve_symmetric
 from ikjax.ik import descent
+from ikjax.solvers.family import reach
 
 LENGTH = 0.1
 ARM = ikjax.robots.get("so101")
@@ -157,3 +158,16 @@ def test_a_goal_that_is_no_pose_is_not_converged_and_leaves_its_neighbours():
 def test_a_wrong_argument_is_named(call, text):
     with pytest.raises(ValueError, match=text):
         call()
+
+
+@pytest.mark.parametrize("name", ["planar_prr", "planar_3r"])
+def test_an_arm_that_moves_in_a_plane_is_asked_for_what_lies_in_its_own(name):
+    """Of a PRR, whose slide runs along the base's z, that is not the plane of the base's x and y."""
+    arm = ikjax.robots.get(name)
+    low, high = np.clip(np.array(arm.limits).T, -3, 10)
+    q = np.random.default_rng(2).uniform(low, high, (40, 3))
+    goals = ikjax.fk(arm, q)
+    near = ikjax.refine(arm, goals, np.clip(q + 0.05, low, high), length=float(reach(arm)))
+    gap, turn = ikjax.pose_error(ikjax.fk(arm, near.q), goals)
+    np.testing.assert_allclose(near.position_error, gap, atol=1e-9)
+    assert near.converged.all() and gap.max() < 1e-6 and turn.max() < 1e-6
