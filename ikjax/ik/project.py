@@ -25,15 +25,14 @@ def project(
     that allows (the nearest reachable point where it is out of reach), for all other families the branches of
     `solve`, clamped. Joint limits make basins that no branch leads to: `beside` adds starts that are spread
     over them, always the same. An arm without a family starts from 64 such. Each start ends where no small
-    move improves it; that the best is the nearest of all poses is not proved. On an SO-101 within its limits
-    the best of 64 random starts was nearer for 9 of 2,048 wild goals.
+    move improves it; that the best is the nearest of all poses is not proved, and within tight limits it is
+    not always (`benchmarks/projection.py` compares).
 
     Args:
         arm: Any arm of up to seven joints.
         goals: T_world_tool, (..., 4, 4), float32 or float64. A goal that is no pose is never `converged`.
         length: What a radian is worth [m]; positive.
         steps: At most so many steps of refinement from each branch; with none, the closed form alone.
-
         beside: So many starts beside the branches; 28 by default for an arm with limits that is refined, else
             none. They are most of the work.
 

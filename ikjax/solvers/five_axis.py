@@ -34,11 +34,11 @@ import jax.numpy as jnp
 from ikjax.arm.forward import Joint, Link, unwind
 from ikjax.core import safe
 from ikjax.core.pose import Pose
-from ikjax.core.trig import Angle, Scalar
+from ikjax.core.trig import Angle, Scalar, SinCos
 from ikjax.core.vector import minus, plus, times
-from ikjax.solvers.branch import Branch, Setting, bits
+from ikjax.solvers.branch import Branch, Joints, Setting, bits
 from ikjax.solvers.shoulder import Shoulder, shoulder
-from ikjax.solvers.triangle import triangle
+from ikjax.solvers.triangle import Triangle, triangle
 
 BEND = 8
 """How much more than `off` bends the elbow: four joints' errors add up in its reach, and an elbow that starts
@@ -106,23 +106,30 @@ def branches(
                 setting,
                 BEND * setting.off,
             )
-            # c23 t4 = pitch - (t2 + elbow)
-            fore_sin = arm.shoulder_sin * arm.elbow_cos + arm.shoulder_cos * arm.elbow_sin
-            fore_cos = arm.shoulder_cos * arm.elbow_cos - arm.shoulder_sin * arm.elbow_sin
-            joints = (
-                base.turn,
-                setting.angle(arm.shoulder_sin, arm.shoulder_cos),
-                setting.angle(c2 * arm.elbow_sin, arm.elbow_cos),
-                setting.angle(
-                    c23 * (p_sin * fore_cos - p_cos * fore_sin), p_cos * fore_cos + p_sin * fore_sin
-                ),
-                roll,
-            )
+            joints = joints_of(signs, base, arm, (p_sin, p_cos), roll, setting)
             margin = jnp.minimum(base.margin, arm.margin)
             slots[first + (0 if height == 1 else 2)] = Branch(
                 joints, goal, margin, base.continuum | arm.continuum
             )
     return tuple(slots[slot] for slot in range(4))
+
+
+def joints_of(
+    signs: tuple[int, ...], base: Shoulder, arm: Triangle, pitch: SinCos, roll: Angle, setting: Setting
+) -> Joints:
+    """All five, of the triangle in the plane that joint 1 turns and the hand's pitch in it."""
+    _, _, c2, c3, _ = signs
+    (p_sin, p_cos), c23 = pitch, c2 * c3
+    # c23 t4 = pitch - (t2 + elbow)
+    fore_sin = arm.shoulder_sin * arm.elbow_cos + arm.shoulder_cos * arm.elbow_sin
+    fore_cos = arm.shoulder_cos * arm.elbow_cos - arm.shoulder_sin * arm.elbow_sin
+    return (
+        base.turn,
+        setting.angle(arm.shoulder_sin, arm.shoulder_cos),
+        setting.angle(c2 * arm.elbow_sin, arm.elbow_cos),
+        setting.angle(c23 * (p_sin * fore_cos - p_cos * fore_sin), p_cos * fore_cos + p_sin * fore_sin),
+        roll,
+    )
 
 
 def _lines(c2: int, c3: int, links: tuple[Link, ...], goal: Pose, setting: Setting) -> tuple[Line, Line]:

@@ -31,7 +31,8 @@ from ikjax.core import safe, vector
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Scalar, SinCos
 from ikjax.core.vector import minus, plus, times
-from ikjax.solvers.branch import Branch, Joints, Setting, bits
+from ikjax.solvers.branch import Branch, Setting, bits
+from ikjax.solvers.five_axis import joints_of
 from ikjax.solvers.shoulder import Shoulder, shoulder
 from ikjax.solvers.triangle import ring, triangle
 
@@ -53,31 +54,20 @@ def branches(
     signs: tuple[int, ...], links: tuple[Link, ...], goal: Pose, setting: Setting
 ) -> tuple[Branch, ...]:
     """All four slots for one goal."""
-    up, s1, c2, c3, _ = signs
-    c23 = c2 * c3
+    up, s1, *_ = signs
     one, two, three, four = links[:4]
     slots: dict[int, Branch] = {}
     for first in (0, 1):
         side = bits(first)[0] * safe.sign(one.a)
         hand = _hand(signs, links, goal, side, setting)
-        (p_sin, p_cos), base = hand.pitch, hand.base
+        base = hand.base
         ahead, aside = _turned(_wrist(signs, four, setting), hand.pitch)
         roll = setting.angle(*hand.roll)
         for height in (1, -1):
             left = up * s1 * side * height
             x, y = hand.foot
             arm = triangle(x - ahead, y - aside, two.a, three.a, left, setting)
-            fore_sin = arm.shoulder_sin * arm.elbow_cos + arm.shoulder_cos * arm.elbow_sin
-            fore_cos = arm.shoulder_cos * arm.elbow_cos - arm.shoulder_sin * arm.elbow_sin
-            joints: Joints = (
-                base.turn,
-                setting.angle(arm.shoulder_sin, arm.shoulder_cos),
-                setting.angle(c2 * arm.elbow_sin, arm.elbow_cos),
-                setting.angle(
-                    c23 * (p_sin * fore_cos - p_cos * fore_sin), p_cos * fore_cos + p_sin * fore_sin
-                ),
-                roll,
-            )
+            joints = joints_of(signs, base, arm, hand.pitch, roll, setting)
             slots[first + (0 if height == 1 else 2)] = Branch(
                 joints, goal, jnp.minimum(base.margin, arm.margin), base.continuum | arm.continuum
             )
