@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: sweep test suite long verify bench notebooks lint clean
+.PHONY: sweep test suite slow long verify bench notebooks lint clean
 
 sweep: $(VENV)/run.stamp            ## sweep a PUMA 560's workspace, or go on with it: a map, a picture, a summary
 	$(BIN)/ikjax sweep puma560 --spacing 0.03 --orientations 512 \
@@ -18,6 +18,9 @@ lint: $(VENV)/dev.stamp
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+slow: $(VENV)/dev.stamp             ## what `make test` leaves out: second types, further arms, notebooks
+	$(BIN)/python -m pytest -m slow -n auto --dist worksteal
 
 long: $(VENV)/dev.stamp             ## 10^6 goals an arm
 	$(BIN)/python -m pytest -m long -s

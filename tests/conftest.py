@@ -27,6 +27,14 @@ def dtype(request):
     return request.param
 
 
+@pytest.fixture(
+    params=[pytest.param(np.float32, marks=pytest.mark.slow), np.float64], ids=["float32", "float64"]
+)
+def costly_dtype(request):
+    """The same for what compiles long: float32 only in the slow form."""
+    return request.param
+
+
 @pytest.fixture
 def rng():
     """The same random numbers in every run."""

@@ -186,6 +186,7 @@ def coupled():
     return ikjax.Arm.from_dh(**table, convention="standard", coupling=FANUC, name="pendant")
 
 
+@pytest.mark.slow
 def test_coupled_joints_are_motor_values_everywhere():
     plain, arm = ikjax.robots.lrmate200id(), coupled()
     q, goals, sol = _solved(arm, 200)

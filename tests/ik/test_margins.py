@@ -61,8 +61,8 @@ def test_a_margin_with_limits_is_positive_just_where_a_goal_is_reached_within_th
     assert (each <= free).all() and 0.05 < (best > 0).mean() < 0.5
 
 
-def test_margins_with_limits_climb_from_outside_and_are_finite_beside_nan(dtype, rng):
-    arm, where = limited(dtype), goals(rng, dtype)
+def test_margins_with_limits_climb_from_outside_and_are_finite_beside_nan(costly_dtype, rng):
+    arm, where = limited(costly_dtype), goals(rng, costly_dtype)
     where = where.at[3].set(jnp.nan)
 
     @jax.jit
@@ -72,7 +72,7 @@ def test_margins_with_limits_climb_from_outside_and_are_finite_beside_nan(dtype,
         other = dataclasses.replace(arm, a=a)
         return ikjax.best_margin(other, ikjax.solve(other, moved)).sum()
 
-    slopes = np.asarray(slope(jnp.zeros((400, 2), dtype), arm.a))
+    slopes = np.asarray(slope(jnp.zeros((400, 2), costly_dtype), arm.a))
     best = np.asarray(margins(arm, where)[0])
     assert np.isfinite(best).all() and np.isfinite(slopes).all()
     # Further out than both links: straight back is the way, whatever the limits.

@@ -37,15 +37,15 @@ def measured(arm, q):
 
 
 @pytest.mark.parametrize("name", ARMS)
-def test_measures_are_those_of_the_singular_values(name, dtype, rng):
-    arm = ikjax.robots.get(name).astype(dtype)
-    q = joints(arm, rng).astype(dtype)
+def test_measures_are_those_of_the_singular_values(name, costly_dtype, rng):
+    arm = ikjax.robots.get(name).astype(costly_dtype)
+    q = joints(arm, rng).astype(costly_dtype)
     values = np.linalg.svd(scaled_jacobian(arm, q), compute_uv=False)
     least, most = values.min(-1), values.max(-1)
     expected = np.stack([values.prod(-1), least / most, least], axis=-1)
     got = measured(arm, q)
-    assert got.dtype == dtype
-    np.testing.assert_allclose(got, expected, atol=200 * np.finfo(dtype).eps)
+    assert got.dtype == costly_dtype
+    np.testing.assert_allclose(got, expected, atol=200 * np.finfo(costly_dtype).eps)
 
 
 LEAVES = ("a", "alpha", "d", "theta", "base", "tool")
@@ -73,13 +73,15 @@ def along(arm, q, rates, t):
     return jax.jvp(moved, (t,), (jnp.ones_like(t),))
 
 
-@pytest.mark.parametrize("name", ["puma560", pytest.param("stanford", marks=pytest.mark.long)])
-def test_slopes_are_finite_at_singularities_and_those_of_differences_elsewhere(name, dtype, rng):
-    arm = ikjax.robots.get(name).astype(dtype)
-    q = jnp.asarray(joints(arm, rng), dtype)
+@pytest.mark.parametrize(
+    "name", ["planar_prr", *(pytest.param(name, marks=pytest.mark.slow) for name in ("puma560", "stanford"))]
+)
+def test_slopes_are_finite_at_singularities_and_those_of_differences_elsewhere(name, costly_dtype, rng):
+    arm = ikjax.robots.get(name).astype(costly_dtype)
+    q = jnp.asarray(joints(arm, rng), costly_dtype)
     for slope in jax.tree.leaves(slopes(arm, q)):
         assert np.isfinite(slope).all()
-    if dtype == np.float32:
+    if costly_dtype == np.float32:
         return
     values = np.linalg.svd(scaled_jacobian(arm, q), compute_uv=False)
     regular = (values[:, -1] > 1e-3) & (values[:, -2] - values[:, -1] > 1e-3)

@@ -111,9 +111,9 @@ def test_float32_goals_make_no_float64_program(goals, with_now):
 
 
 class TestInsideJit:
-    def test_it_equals_the_eager_call(self, goals, dtype):
-        part = jnp.asarray(goals[:500], dtype)
-        close(jax.jit(lambda T: ikjax.solve(ARM, T))(part), ikjax.solve(ARM, part), dtype)
+    def test_it_equals_the_eager_call(self, goals, costly_dtype):
+        part = jnp.asarray(goals[:500], costly_dtype)
+        close(jax.jit(lambda T: ikjax.solve(ARM, T))(part), ikjax.solve(ARM, part), costly_dtype)
 
     @pytest.mark.parametrize("name", ["puma560", "ur5"])
     def test_a_count_stays_one_loop_that_xla_keeps_whole(self, name):
@@ -124,9 +124,9 @@ class TestInsideJit:
         # hundred times.
         assert max(len(loop.splitlines()) for loop in loops) < 2400
 
-    def test_a_traced_arm_equals_the_eager_call(self, goals, dtype):
-        part = jnp.asarray(goals[:500], dtype)
-        close(jax.jit(ikjax.solve)(ARM.astype(dtype), part), ikjax.solve(ARM, part), dtype)
+    def test_a_traced_arm_equals_the_eager_call(self, goals, costly_dtype):
+        part = jnp.asarray(goals[:500], costly_dtype)
+        close(jax.jit(ikjax.solve)(ARM.astype(costly_dtype), part), ikjax.solve(ARM, part), costly_dtype)
 
     def test_counting_needs_nothing_else(self, goals):
         far = goals.copy()

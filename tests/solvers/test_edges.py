@@ -100,9 +100,15 @@ def test_every_singular_goal_has_an_answer(name, dtype):
     _assert_answered(arms.build(name), ladders(name), dtype)
 
 
-@pytest.mark.parametrize("dtype", TYPES)
 @pytest.mark.parametrize(
-    "name", ["ur5", "skew_wrist", pytest.param("parallel_every_offset", marks=pytest.mark.long)]
+    ("name", "dtype"),
+    [
+        ("ur5", np.float32),
+        ("skew_wrist", np.float64),
+        pytest.param("ur5", np.float64, marks=pytest.mark.slow),
+        pytest.param("skew_wrist", np.float32, marks=pytest.mark.slow),
+        *(pytest.param("parallel_every_offset", dtype, marks=pytest.mark.long) for dtype in TYPES),
+    ],
 )
 def test_masks_of_a_jit_hold_for_the_joints_beside_them(name, dtype):
     """There the two come from two programs: see `ik.graph`."""
@@ -267,7 +273,7 @@ def test_margin_far_away_is_finite_and_negative(name, dtype):
 
 
 SLOPES = {"ur5": np.float32}
-"""Compiled by default, in this type; the long form tries more arms, and both types."""
+"""Compiled in the slow form, in this type; the long form tries more arms, and both types."""
 
 MORE_SLOPES = (*SLOPES, "puma560", "skew_everything", "equal_links", "parallel_every_offset")
 
@@ -286,7 +292,7 @@ def _edge_goals(arm) -> np.ndarray:
 @pytest.mark.parametrize(
     ("name", "dtype"),
     [
-        pytest.param(name, dtype, marks=() if SLOPES.get(name) is dtype else pytest.mark.long)
+        pytest.param(name, dtype, marks=pytest.mark.slow if SLOPES.get(name) is dtype else pytest.mark.long)
         for name in MORE_SLOPES
         for dtype in TYPES
     ],

@@ -95,10 +95,18 @@ LONG = pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "dtype"),
     [
-        *itertools.product(("puma560", "ur5"), TYPES),
         # Each is a program of its own: by default in one type.
-        ("skew_everything", np.float32),
+        ("puma560", np.float32),
         ("parallel_both_reversed", np.float64),
+        *(
+            pytest.param(*case, marks=pytest.mark.slow)
+            for case in (
+                ("puma560", np.float64),
+                ("ur5", np.float32),
+                ("ur5", np.float64),
+                ("skew_everything", np.float32),
+            )
+        ),
         pytest.param("skew_everything", np.float64, marks=LONG),
         pytest.param("parallel_both_reversed", np.float32, marks=LONG),
     ],

@@ -35,17 +35,29 @@ the kernel's form stays; the joint offsets, base and tool always may."""
 
 
 TYPES = (np.float32, np.float64)
-QUICK = ("puma560", "RRR, point", "SCARA RRPR", "3R", "RPR", "planar_prr", "2R")
+
+
+def _mark(quick: bool, slow: bool):
+    return () if quick else pytest.mark.slow if slow else pytest.mark.long
+
+
+QUICK = ("puma560", "3R", "2R")
+SLOW = ("RRR, point", "SCARA RRPR", "RPR", "planar_prr")
 FOLLOWED = [
     # The PUMA compiles longest, and the point's quartic has all it has.
-    pytest.param(name, marks=() if name in QUICK[1:] else pytest.mark.long)
+    pytest.param(name, marks=_mark(name in ("RRR, point", "3R", "2R", "RPR"), name in QUICK + SLOW))
     for name in FREE
     if name != "turret"
 ]
 EITHER = [
-    # By default each arm is compiled in one type, in turn; the long form tries both.
+    # Each arm is compiled in one type, in turn; the long form tries both.
     pytest.param(
-        name, dtype, marks=() if (name, dtype) in zip(QUICK, itertools.cycle(TYPES)) else pytest.mark.long
+        name,
+        dtype,
+        marks=_mark(
+            (name, dtype) in zip(QUICK, itertools.cycle(TYPES)),
+            (name, dtype) in zip(SLOW, itertools.cycle(TYPES)),
+        ),
     )
     for name in FREE
     for dtype in TYPES
@@ -152,7 +164,10 @@ def test_joints_of_a_known_arm_follow_the_goal():
     agree(arm, lambda t: follow(jnp.asarray(t)), ok, 1e-6)
 
 
-@pytest.mark.parametrize("name", ["3R", pytest.param("puma560", marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "name",
+    ["2R", pytest.param("3R", marks=pytest.mark.slow), pytest.param("puma560", marks=pytest.mark.long)],
+)
 def test_forward_is_reverse(name):
     arm, goals, sol, _ = case(name, 6)
     weights = jnp.where(sol.valid[..., None], np.random.default_rng(4).normal(size=sol.q.shape), 0)
@@ -274,8 +289,8 @@ def test_damping_bounds_the_slope_at_a_singularity():
     assert 0 < off[ok].max() < 1e-2
 
 
-MARGINS = ("puma560", "RRR, point", "2R", "3R")
-MORE_MARGINS = ("ur5", "RRR, wrist", "SCARA RRPR", "2, 3, 4 parallel")
+MARGINS = ("puma560", "2R", "3R")
+MORE_MARGINS = ("RRR, point", "ur5", "RRR, wrist", "SCARA RRPR", "2, 3, 4 parallel")
 
 
 @pytest.mark.parametrize(

@@ -66,6 +66,7 @@ def test_a_constraint_holds_in_the_end():
     np.testing.assert_allclose(short.numbers, BEST, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_ties_hold_on_the_way_to_the_best_manipulability():
     # Of all triangles of one girth and one base, the one with equal sides is the largest.
     tied = study(objective="mean_manipulability", ties=["a1 + a2 = 1.3"], optimiser=optax.sgd(3.0))

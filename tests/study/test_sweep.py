@@ -21,7 +21,7 @@ def reach(arm):
     return ikjax.sweep(arm, ikjax.around(arm, 0.4), 45, dtype="float64")
 
 
-@pytest.mark.parametrize("name", ["ur5", "puma560", "kr6_r900"])
+@pytest.mark.parametrize("name", ["ur5", "puma560", pytest.param("kr6_r900", marks=pytest.mark.slow)])
 def test_a_sweep_counts_what_solve_answers(name):
     arm = ikjax.robots.get(name)
     reach = ikjax.sweep(arm, ikjax.around(arm, 0.4), 45, dtype="float64")
