@@ -104,7 +104,7 @@ def test_every_singular_goal_has_an_answer(name, dtype):
     ("name", "dtype"),
     [
         ("ur5", np.float32),
-        ("skew_wrist", np.float64),
+        pytest.param("skew_wrist", np.float64, marks=pytest.mark.slow),
         pytest.param("ur5", np.float64, marks=pytest.mark.slow),
         pytest.param("skew_wrist", np.float32, marks=pytest.mark.slow),
         *(pytest.param("parallel_every_offset", dtype, marks=pytest.mark.long) for dtype in TYPES),

@@ -97,11 +97,11 @@ LONG = pytest.mark.long
     [
         # Each is a program of its own: by default in one type.
         ("puma560", np.float32),
-        ("parallel_both_reversed", np.float64),
         *(
             pytest.param(*case, marks=pytest.mark.slow)
             for case in (
                 ("puma560", np.float64),
+                ("parallel_both_reversed", np.float64),
                 ("ur5", np.float32),
                 ("ur5", np.float64),
                 ("skew_everything", np.float32),

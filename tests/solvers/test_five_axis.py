@@ -150,6 +150,7 @@ def test_every_goal_on_the_ladders_to_the_singularities_is_answered(name, costly
     assert sol.valid.any(-1).all()
 
 
+@pytest.mark.slow
 def test_both_answers_beside_full_stretch_are_found_on_an_arm_whose_axes_are_not_quite_parallel():
     rng = np.random.default_rng(1)
     arm = ikjax.robots.so101()

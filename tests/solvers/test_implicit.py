@@ -41,11 +41,11 @@ def _mark(quick: bool, slow: bool):
     return () if quick else pytest.mark.slow if slow else pytest.mark.long
 
 
-QUICK = ("puma560", "3R", "2R")
-SLOW = ("RRR, point", "SCARA RRPR", "RPR", "planar_prr")
+QUICK = ("puma560", "3R")
+SLOW = ("RRR, point", "SCARA RRPR", "RPR", "planar_prr", "2R")
 FOLLOWED = [
     # The PUMA compiles longest, and the point's quartic has all it has.
-    pytest.param(name, marks=_mark(name in ("RRR, point", "3R", "2R", "RPR"), name in QUICK + SLOW))
+    pytest.param(name, marks=_mark(name in ("3R", "2R", "RPR"), name in QUICK + SLOW))
     for name in FREE
     if name != "turret"
 ]

@@ -75,6 +75,7 @@ def test_ties_hold_on_the_way_to_the_best_manipulability():
     assert (np.diff(tied.history, axis=0) > -1e-12).all()
 
 
+@pytest.mark.slow
 def test_a_base_moves_to_where_the_goals_are():
     arm = ikjax.robots.planar_2r().astype(np.float32)
     goals = ring(np.float32).at[:, 1, 3].add(3.0)
