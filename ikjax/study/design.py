@@ -33,6 +33,12 @@ BLOCK = 4096
 PULL = 10.0
 """Weight of a constraint's square at first; it doubles with every chunk, up to a thousandfold."""
 
+NEAR, AT = 4.0, 20.0
+"""Logistic coordinates two hundredths of the way from a bound, and at it but for a billionth."""
+
+SEARCH, LONGER, SHORTER = 0.2, 1.5, 0.8
+"""Steps of the search at the end: at first, and how they change."""
+
 MET = 1e-4
 """Constraints above zero by less are met."""
 
@@ -51,6 +57,7 @@ def design(
     blur: tuple[float, float] = (0.1, 0.002),
     limits: bool = True,
     batch: int | None = None,
+    finish: int = 0,
     seed: int = 0,
     progress: Callable[[int, np.ndarray], Any] | None = None,
 ) -> Designed:
@@ -74,6 +81,8 @@ def design(
         blur: Of the score at first and in the end, as a share of the arm's reach.
         limits: Whether the joint limits count.
         batch: So many rows of goals, picked at random, for each step; all by default.
+        finish: So many arms near the best are judged by the exact score in the end, and the best of them
+            is taken. A share of goals has steps that no slope sees, and a bound is only neared by climbing.
         seed: Of the other starts, and of the picking.
         progress: Called with the steps done and the scores (starts,) after every chunk.
 
@@ -91,8 +100,10 @@ def design(
     if not kept.any():
         raise ValueError("goals must hold a pose, none of them is one")
     goals = goals if kept.all() else goals[np.flatnonzero(kept)]
-    if starts < 1 or steps < 0:
-        raise ValueError(f"starts must be at least 1 and steps not negative, got {starts} and {steps}")
+    if starts < 1 or min(steps, finish) < 0:
+        raise ValueError(
+            f"starts must be at least 1, steps and finish not negative, got {starts}, {steps} and {finish}"
+        )
     if isinstance(objective, str):
         if objective not in NAMED:
             raise ValueError(f"objective must be a function or one of {', '.join(NAMED)}, got {objective!r}")
@@ -126,29 +137,60 @@ def design(
         scores.append(np.asarray(score))
         if progress is not None:
             progress(at + some, scores[-1][-1])
-    everyone = jnp.concatenate([z, state.z])
-    values, exact, over = (np.asarray(x) for x in climb.judged(plan, everyone, goals))
-    best = int(
-        np.lexsort((np.arange(len(exact)) < starts, -np.nan_to_num(exact, nan=-np.inf), over > MET))[0]
-    )
-    made = parameters.put(arm, jnp.asarray(values[best], goals.dtype))
+    everyone = np.concatenate([z, state.z])
+    judge = functools.partial(climb.judged, plan, goals=goals)
+    values, exact, over = (np.asarray(x) for x in judge(jnp.asarray(everyone, z.dtype)))
+    best = _best(exact, over, np.arange(len(exact)) < starts)
+    number, score, violation = values[best], exact[best], over[best]
+    if finish:
+        number, score, violation = _searched(
+            judge, everyone[best], (number, score, violation), finish, seed, len(everyone)
+        )
+    made = parameters.put(arm, jnp.asarray(number, goals.dtype))
     sol = solve(made, goals)
     sol = within_limits(made, sol) if limits else sol
     return Designed(
         arm=made,
         start=arm,
-        values=dict(zip(parameters.names, values[best].tolist(), strict=True)),
-        score=float(exact[best]),
+        values=dict(zip(parameters.names, number.tolist(), strict=True)),
+        score=float(score),
         start_score=float(exact[0]),
         reached=np.asarray(sol.valid.any(-1)),
         margin=np.asarray(sol.margin.max(-1)),
         scores=exact[starts:],
         numbers=values[starts:],
         history=np.concatenate(scores) if scores else np.zeros((0, starts)),
-        violation=float(over[best]),
+        violation=float(violation),
         left_out=np.flatnonzero(~kept),
         goals=np.asarray(goals),
     )
+
+
+def _best(exact: np.ndarray, over: np.ndarray, given: np.ndarray) -> int:
+    """The greatest exact score among those that meet the constraints; a start where nothing is better."""
+    return int(np.lexsort((given, -np.nan_to_num(exact, nan=-np.inf), over > MET))[0])
+
+
+def _searched(judge, z: np.ndarray, best: tuple, count: int, seed: int, together: int) -> tuple:
+    """Numbers, exact score and violation after judging `count` arms about z, `together` at a time.
+
+    Steps are normal in half of the logistic coordinates, longer after a round that found better, shorter
+    after one that did not. Where something is near a bound, one arm of a round has it there.
+    """
+    rng, size = np.random.default_rng(seed), SEARCH
+    for _ in range(count // together):
+        some = rng.integers(0, 2, (together, len(z)))
+        beside = z + size * some * rng.normal(size=(together, len(z)))
+        near = (np.abs(z) > NEAR) & (np.abs(z) < AT)
+        if near.any():
+            beside[0] = np.where(near, AT * np.sign(z), z)
+        values, exact, over = (np.asarray(x) for x in judge(jnp.asarray(beside, best[0].dtype)))
+        i = _best(exact, over, np.zeros(together))
+        better = exact[i] > best[1] and over[i] <= max(MET, best[2])
+        if better:
+            z, best = beside[i], (values[i], exact[i], over[i])
+        size *= LONGER if better else SHORTER
+    return best
 
 
 def _poses(arm: Arm, goals: jax.Array) -> np.ndarray:

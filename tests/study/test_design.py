@@ -27,9 +27,8 @@ def clearance_for_length(arm, sol, blur):
 
 
 def study(**settings):
-    settings = {"blur": (0.1, 1e-4), "steps": 250, "starts": 3, **settings}
-    arm = ikjax.robots.planar_2r(0.9, 0.3)
-    return ikjax.design(arm, settings.pop("goals", ring()), {"a": (0.1, 2.0)}, **settings)
+    settings = {"blur": (0.1, 1e-4), "steps": 250, "starts": 3, "vary": {"a": (0.1, 2.0)}, **settings}
+    return ikjax.design(ikjax.robots.planar_2r(0.9, 0.3), settings.pop("goals", ring()), **settings)
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +56,19 @@ def test_rows_that_are_no_poses_change_nothing_but_the_report(found):
     np.testing.assert_array_equal(again.numbers, found.numbers)
     np.testing.assert_array_equal(again.left_out, [0, 1])
     assert "left out: 2 rows" in again.report()
+
+
+def test_a_search_at_the_end_comes_nearer_and_never_makes_worse(found):
+    again = study(objective=clearance_for_length, steps=400, finish=300)
+    assert again.score >= found.score and again.scores.max() == found.scores.max()
+    assert np.abs(np.array(list(again.values.values())) - BEST).max() < 1e-5
+
+
+def test_a_search_alone_finds_an_optimum_on_a_bound():
+    vary = {"a": (0.7, 2.0)}
+    alone = study(objective=clearance_for_length, vary=vary, steps=0, finish=600)
+    np.testing.assert_allclose(list(alone.values.values()), 0.7, atol=1e-6)
+    np.testing.assert_allclose(alone.score, INNER - 0.7, atol=1e-6)
 
 
 def test_a_constraint_holds_in_the_end():
