@@ -16,12 +16,14 @@ from ikjax.ik.solutions import Solutions
 from ikjax.ik.solve import solve
 from ikjax.ik.track import Path, track
 from ikjax.study import objectives
+from ikjax.study.bases import place
 from ikjax.study.design import design
 from ikjax.study.designed import Designed
 from ikjax.study.goals import Grid, Shell, around, grid, shell
 from ikjax.study.hopf import Hopf, hopf
 from ikjax.study.measures import Measure
 from ikjax.study.orientations import Cone, cone, even_rotations
+from ikjax.study.placed import Bases
 from ikjax.study.reach import ReachMap
 from ikjax.study.surface import Surface, surface
 from ikjax.study.sweep import sweep

@@ -1,0 +1,102 @@
+"""The last steps of a search for a place to stand: up the slope of margins, from many places at once.
+
+Storey: study. What is climbed is smooth; what is kept is the best place on the way by the exact score, and
+the first is among them. So a place never gets worse.
+"""
+
+import dataclasses
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+
+from ikjax.ik.margins import limited_margins, smooth_max, smooth_min
+from ikjax.ik.solve import solve
+from ikjax.solvers.family import reach
+from ikjax.study.climb import Known
+from ikjax.study.parameters import Parameters
+
+
+@dataclasses.dataclass(frozen=True)
+class Hill:
+    """What is fixed while places are nudged; hashable."""
+
+    known: Known
+    parameters: Parameters
+    """Shifts and turns of the base, from where it is given."""
+    limits: bool
+    together: int
+    """Places that are worked on at a time."""
+
+    def height(self, values: jax.Array, goals: jax.Array, blur: jax.Array):
+        """The smooth score, and what is exact: goals reached (g,), the worst margin [m]."""
+        arm, seen = self.parameters.apart(self.known.arm, goals, values)
+        sol = solve(arm, seen)
+        sol = limited_margins(arm, sol) if self.limits else sol
+        best = smooth_max(sol.margin, blur)
+        # Where all goals are reached the share is flat, and the worst of them leads on.
+        worst = smooth_min(best, blur) / float(reach(self.known.arm))
+        score = jnp.sum(jax.nn.sigmoid(best / blur)) + worst / 2
+        return score, (sol.valid.any(-1), jnp.min(jnp.max(sol.margin, axis=-1)))
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Best:
+    values: jax.Array
+    """(m, k)"""
+    reached: jax.Array
+    """(m, g) bool"""
+    worst: jax.Array
+    """(m,) [m]"""
+
+
+# It soon forgets how steep the share was, once that is flat.
+_ADAM = optax.scale_by_adam(b1=0.8, b2=0.9)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def nudged(hill: Hill, values, goals, units, lower, upper, blurs, rates):
+    """The best place that each start comes by, and what it was at first.
+
+    Args:
+        hill: What is climbed.
+        values: (m, k) where to start.
+        goals: (g, 4, 4).
+        units: (k,) what a step of one is of each number.
+        lower, upper: (k,) bounds.
+        blurs, rates: (steps + 1,) of each step; the last is only looked at.
+
+    Returns:
+        `Best`; and of the starts: goals reached (m,), worst margin (m,).
+    """
+
+    def slope(values, blur):
+        climb = jax.value_and_grad(hill.height, has_aux=True)
+        (_, exact), slope = climb(values, goals, blur)
+        return jnp.where(jnp.isfinite(slope).all(), slope, 0), *exact
+
+    def step(state, each):
+        values, memory, best = state
+        blur, rate = each
+        slopes, reached, worst = jax.lax.map(lambda v: slope(v, blur), values, batch_size=hill.together)
+        count, most = reached.sum(-1), best.reached.sum(-1)
+        better = (count > most) | ((count == most) & (worst > best.worst))
+        best = jax.tree.map(
+            lambda new, old: jnp.where(better.reshape(-1, *[1] * (new.ndim - 1)), new, old),
+            Best(values, reached, worst),
+            best,
+        )
+        # Optimisers promote as they please, whatever the caller is strict about.
+        with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+            updates, memory = jax.vmap(_ADAM.update)(slopes, memory, values)
+            moved = jnp.clip(values + rate * units * updates, lower, upper)
+        return (moved, memory, best), (count, worst)
+
+    nowhere = jnp.full(len(values), -jnp.inf, values.dtype)
+    best = Best(values, jnp.zeros((len(values), len(goals)), bool), nowhere)
+    start: Any = (values, jax.vmap(_ADAM.init)(values), best)
+    (_, _, best), (counts, margins) = jax.lax.scan(step, start, (blurs, rates))
+    return best, counts[0], margins[0]
