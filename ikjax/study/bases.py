@@ -131,7 +131,10 @@ def _polished(
     columns = [TWIST.index(name) for name in where.climbs]
     home = np.concatenate([where.home[:3, 3], np.zeros(3)])
     lower, upper = where.bounds()
-    parameters = Parameters(tuple(f"base.{name}" for name in where.climbs), tuple(lower), tuple(upper))
+    # Bounds are handed over as numbers: in here, every change of them would compile anew.
+    every = len(columns)
+    names = tuple(f"base.{name}" for name in where.climbs)
+    parameters = Parameters(names, (0.0,) * every, (1.0,) * every)
     hill = Hill(Known(arm), parameters, limits, max(1, TOGETHER // len(goals)))
     phase = np.linspace(0, np.pi, steps + 1)
     numbers = [

@@ -74,6 +74,8 @@ def nudged(hill: Hill, values, goals, units, lower, upper, blurs, rates):
     """
 
     def slope(values, blur):
+        if len(blurs) == 1:  # nobody moves, so no slope need be compiled
+            return jnp.zeros_like(values), *hill.height(values, goals, blur)[1]
         climb = jax.value_and_grad(hill.height, has_aux=True)
         (_, exact), slope = climb(values, goals, blur)
         return jnp.where(jnp.isfinite(slope).all(), slope, 0), *exact

@@ -41,7 +41,7 @@ def test_every_candidate_is_counted_as_by_hand():
     by_hand = ((away <= UPPER + FORE) & (away >= UPPER - FORE)).mean(-1)
     np.testing.assert_array_equal(found.tried[..., 0], by_hand)
     assert 0.3 < by_hand.max() < 1
-    assert found.start_share.max() == by_hand.max() and found.share[0] >= by_hand.max()
+    assert found.share[0] >= by_hand.max()
     # No place on a far finer grid is better by more than what lies between.
     fine = np.stack(np.meshgrid(*[np.linspace(-1.5, 1.5, 301)] * 2), -1)
     away = np.linalg.norm(fine[..., None, :] - xy, axis=-1)
@@ -64,7 +64,8 @@ def test_what_is_returned_is_what_solve_says():
 
 
 def test_an_arm_stands_in_the_middle_of_a_ring():
-    found = ikjax.place(ARM, ring((2.03, -1.04)), **BASIC)
+    # A room whose grid misses the middle.
+    found = ikjax.place(ARM, ring((2.03, -1.04)), bounds={"x": (1, 3.1), "y": (-2.1, 0)}, **BASIC)
     np.testing.assert_allclose(found.base[0][:3, 3], (2.03, -1.04, 0), atol=2e-3)
     assert found.share[0] == 1 and found.worst_margin[0] > 0.297
     assert found.start_score[0] < found.score[0] - 1e-3
@@ -94,16 +95,18 @@ def test_moved_goals_move_the_bases():
 
 
 def test_a_turn_matters_where_the_first_joint_has_limits():
-    arm = dataclasses.replace(ARM, limits=np.array([[-0.5, 0.5], [-3, 3]]))
+    arm = dataclasses.replace(ARM, limits=np.array([[-0.5, 0.5], [0.1, 3]]))
     goals = points([[0.7, 0], [0.75, 0.1], [0.75, -0.1], [0.8, 0]] * 6)
     pinned = {"bounds": {"x": (0, 0), "y": (0, 0)}, "turns": 8, **BASIC}
     ahead = ikjax.place(arm, goals, **pinned)
-    assert ahead.turns.shape == (8,) and 0 < (ahead.tried == 1).sum() < 4
+    assert ahead.turns.shape == (8,) and 0 < (ahead.tried > 0).sum() < 4
     behind = ikjax.place(arm, about_z(2.2) @ goals, **pinned)
     assert ahead.share[0] == behind.share[0] == 1
+    # The goals are as far from the fold anyhow for a range of turns.
+    np.testing.assert_allclose([ahead.worst_margin[0], behind.worst_margin[0]], 0.1, atol=1e-3)
     turn = ahead.base[0][:2, :2].T @ behind.base[0][:2, :2]
-    assert abs(np.arctan2(turn[1, 0], turn[0, 0]) - 2.2) < 0.1
-    free = ikjax.place(arm, goals, limits=False, **pinned)
+    assert abs(np.arctan2(turn[1, 0], turn[0, 0]) - 2.2) < 0.3
+    free = ikjax.place(arm, goals, limits=False, **pinned | {"steps": 0})
     assert len(free.turns) == 1 and free.share[0] == 1
 
 
@@ -117,7 +120,7 @@ def test_where_nothing_is_reached_the_result_says_so():
 
 
 def test_float32_stands_where_float64_does():
-    wide, narrow = (ikjax.place(ARM, ring((1, 0)).astype(dtype), **BASIC) for dtype in (np.float64, np.float32))
+    wide, narrow = (ikjax.place(ARM, ring((1, 0)).astype(t), **BASIC) for t in (np.float64, np.float32))
     assert narrow.base.dtype == np.float32
     np.testing.assert_array_equal(narrow.tried, wide.tried)
     np.testing.assert_allclose(narrow.base[0], wide.base[0], atol=5e-3)
@@ -127,8 +130,7 @@ def test_float32_stands_where_float64_does():
 def scara():
     """An arm in space, whose first joint has limits, and a map of it with one orientation a goal."""
     arm = ikjax.robots.gx4_351s()
-    facing = np.asarray(ikjax.pose(xyz=(0, 0, 0), rpy=(np.pi, 0, 0)))[:3, :3]
-    turned = np.stack([about_z(k * np.pi / 2)[:3, :3] @ facing for k in range(4)])
+    turned = np.stack([about_z(k * np.pi / 2)[:3, :3] for k in range(4)])
     grid = ikjax.grid((-0.4, -0.4, -0.1), (0.4, 0.4, 0.0), 0.1)
     return arm, ikjax.sweep(arm, grid, turned, statistics=("reachable_within", "mask_within", "mask"))
 
@@ -140,12 +142,13 @@ def test_a_map_agrees_with_solving_where_the_goals_lie_on_it(scara, limits):
     goals = np.broadcast_to(np.eye(4), (24, 4, 4)).copy()
     goals[:, :3, :3] = reach.rotations[rng.integers(0, 4, 24)]
     goals[:, :3, 3] = rng.integers((-3, -3, -1), (4, 4, 1), (24, 3)) * 0.1
-    options = {"bounds": {"x": (-0.5, 0.5), "y": (-0.5, 0.5)}, "turns": 4, "limits": limits, **BASIC}
+    options = {"bounds": {"x": (-0.5, 0.5), "y": (-0.5, 0.5)}, "turns": 4, "limits": limits}
+    options |= BASIC | {"steps": 0}
     solved, looked = ikjax.place(arm, goals, **options), ikjax.place(arm, goals, reach=reach, **options)
     assert solved.tried.shape == (11, 11, 1, 4 if limits else 1)
     # Positions on the very fold may fall either way.
     assert np.abs(solved.tried - looked.tried).max() <= 1 / 24
-    assert (solved.tried == looked.tried).mean() > 0.95 and 0.2 < solved.tried.max()
+    assert (solved.tried == looked.tried).mean() > 0.95 and solved.tried.max() > 0.2
     assert looked.share[0] >= looked.tried.max() - 1 / 24
     if limits:
         counted = dataclasses.replace(reach, arrays={"reachable_within": reach.arrays["reachable_within"]})
