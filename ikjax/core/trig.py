@@ -9,6 +9,7 @@ Manual for the Elementary Functions (1980), chapter 8. The polynomials are minim
 atan(t)/t, sin(t)/t and cos(t) in t^2, made with Remez exchange at 50 digits.
 """
 
+import functools
 import math
 from fractions import Fraction
 from typing import Any, NamedTuple
@@ -23,6 +24,11 @@ SinCos = tuple[Scalar, Scalar]
 """An angle as (sine, cosine): the form in which kernels hand angles from step to step."""
 
 PI = math.pi
+
+
+_traced_once = functools.partial(jax.jit, inline=True)
+"""A kernel calls these some fifty times: they are traced once a shape, and then part of its graph as
+if written there. Outside a jit they are one program instead of thirty."""
 
 
 class Angle(NamedTuple):
@@ -135,6 +141,7 @@ def _floating(*values) -> tuple[jax.Array, ...]:
     return tuple(jnp.broadcast_arrays(*(jnp.asarray(v, dtype) for v in values)))
 
 
+@_traced_once
 def sincos(x: Scalar) -> tuple[jax.Array, jax.Array]:
     """Sine and cosine of an angle [rad].
 
@@ -172,6 +179,7 @@ def _sincos_jvp(primals, tangents):
     return (s, c), (c * dx, -s * dx)
 
 
+@_traced_once
 def atan2(y: Scalar, x: Scalar) -> jax.Array:
     """Angle of the point (x, y) in [-pi, pi] [rad], as C's atan2: signed zeros and infinities too.
 
@@ -210,6 +218,7 @@ def _atan2_jvp(primals, tangents):
     return _atan2(y, x), (u * weight) * dy - (v * weight) * dx
 
 
+@_traced_once
 def wrap(x: Scalar) -> jax.Array:
     """The same direction in (-pi, pi] [rad]; pi itself stays pi. The derivative is 1 everywhere."""
     return _wrap(*_floating(x))

@@ -134,6 +134,7 @@ def test_a_calibrated_arm_has_its_family_when_asked():
 
 
 @pytest.mark.parametrize("dtype", [np.float64, pytest.param(np.float32, marks=pytest.mark.long)])
+@pytest.mark.slow
 def test_a_calibrated_arm_is_solved_as_it_is(dtype):
     arm = calibrated(1e-2)
     q, goals, sol = _solved(arm, 500, dtype=dtype)
@@ -148,6 +149,7 @@ def test_a_calibrated_arm_is_solved_as_it_is(dtype):
         assert sol.valid.any(-1).mean() > 0.99
 
 
+@pytest.mark.slow
 def test_every_answer_of_an_arm_off_by_a_thousandth_is_found():
     arm = calibrated(1e-2)
     arm = dataclasses.replace(arm, correction=np.asarray(arm.correction) / 7)

@@ -155,6 +155,7 @@ def test_joints_follow_the_goal_and_every_free_leaf(name):
         agree(arm, lambda t, rates=rates: both(jnp.asarray(t), rates), ok, 3e-6)
 
 
+@pytest.mark.slow
 def test_joints_of_a_known_arm_follow_the_goal():
     arm, goals, _, ok = case("SCARA RRPR")
     twist = jnp.asarray(in_plane(arm, np.random.default_rng(2).normal(size=6)))
@@ -337,3 +338,63 @@ def test_slopes_of_a_million_goals_are_finite_half_of_them_at_edges(name, dtype)
     for part in np.split(goals, 10):
         for slope in jax.tree.leaves(slopes(leaves, jnp.asarray(part))):
             assert np.isfinite(slope).all()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", list(FREE))
+def test_slopes_of_many_arms_are_those_of_differences_and_of_the_jacobian(name):
+    """200 arms of a family with a goal each: along each leaf and the goal, wherever sigma_min > 1e-3."""
+    arm, count = build(name).astype(np.float64), 200
+    rng = np.random.default_rng(12)
+    rates = {key: np.zeros((count, arm.n)) for key in ("a", "alpha", "d", "theta")}
+    for key, places in FREE[name].items():
+        rates[key][:, places] = rng.normal(size=(count, len(places)))
+    for i, kind in enumerate(arm.kinds):
+        rates["theta" if kind == "R" else "d"][:, i] = rng.normal(size=count)
+    for key in ("base", "tool", "goal"):
+        rates[key] = np.stack([in_plane(arm, rng.normal(size=6)) for _ in range(count)])
+    if arm.task in ("position", "planar_position"):
+        rates["tool"][:] = 0  # turns the goal's free orientation
+    # Other arms of the family: only what may move has moved.
+    several = {key: np.asarray(getattr(arm, key)) + 0.03 * rates[key] for key in ("a", "alpha", "d", "theta")}
+    stack = jax.vmap(lambda leaves: dataclasses.replace(arm, **leaves))(several)
+    goals = jax.vmap(ikjax.fk)(stack, every.joints(arm, count, seed=13))
+
+    def joints(arm, goal, rate, t):
+        columns = {key: getattr(arm, key) + t * rate[key] for key in ("a", "alpha", "d", "theta")}
+        mounts = {key: moved(getattr(arm, key), t * rate[key]) for key in ("base", "tool")}
+        return ikjax.solve(dataclasses.replace(arm, **columns, **mounts), moved(goal, t * rate["goal"])).q
+
+    @jax.jit
+    @jax.vmap
+    def along(arm, goal, rate, t):
+        return jax.jvp(lambda t: joints(arm, goal, rate, t), (t,), (jnp.ones_like(t),))
+
+    sol = jax.jit(jax.vmap(ikjax.solve))(stack, goals)
+    valid = np.asarray(sol.valid & ~sol.continuum)
+    J = np.asarray(jax.jit(jax.vmap(jax.vmap(ikjax.jacobian, (None, 0))))(stack, sol.q))
+    least = np.stack(
+        [
+            every.sigma_min(jax.tree.map(lambda x, i=i: x[i], stack), np.asarray(sol.q[i]))
+            for i in range(count)
+        ]
+    )
+    asked = valid & (least > 1e-3)
+    assert asked.any(-1).mean() > 0.9
+    # Differences of short steps are noisy, those of long ones bent: how much, is told by sigma_min.
+    steps = np.where(asked, least, np.inf).min(-1, initial=0.1) ** 2 * np.array([[0.01], [0.05], [0.2]])
+    turning = np.array([kind == "R" for kind in arm.kinds])
+    for key in rates:
+        one = {other: rate * (other == key) for other, rate in rates.items()}
+        start, slope = map(np.asarray, along(stack, goals, one, np.zeros(count)))
+
+        def at(t, one=one, start=start):
+            q = np.asarray(along(stack, goals, one, t)[0])
+            return np.where(turning, arms.wrapped(q - start), q - start)
+
+        rough = [(8 * (at(t) - at(-t)) - (at(2 * t) - at(-2 * t))) / (12 * t[:, None, None]) for t in steps]
+        off = np.min([np.abs(slope - r).max(-1) / (1 + np.abs(r).max(-1)) for r in rough], axis=0)
+        assert off[asked].max() < 1e-6, (key, off[asked].max())
+        if key == "goal" and arm.task == "pose" and arm.n == 6:
+            exact = np.linalg.solve(J[asked], np.repeat(rates[key], asked.sum(-1), axis=0)[..., None])[..., 0]
+            np.testing.assert_allclose(slope[asked], exact, rtol=1e-6, atol=1e-6 * np.abs(exact).max())
