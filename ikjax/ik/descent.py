@@ -62,6 +62,10 @@ class Wish(NamedTuple):
     """T_world_tool [m]."""
     length: Scalar
     """What a radian is worth [m]; zero where the task asks for no orientation."""
+    point: Scalar = 1.0
+    """What the square of the distance is worth."""
+    floor: Scalar = FLOOR
+    """The least curvature that a step believes in."""
 
 
 class Standing(NamedTuple):
@@ -99,20 +103,24 @@ def standing(arm: Arm, wish: Wish, q: Joints, hold: Hold = lambda x: x) -> Stand
         rates.Twist(tuple(hold(times(per, x)) for x in twist.linear), twist.angular)
         for twist in rates.of_joints(arm, found, tool.position)
     ]
+    pulled = tuple(hold(times(wish.point, x)) for x in gap)
     drawn = tuple(hold(times(worth, x)) for x in turn.vector)
-    slope = [plus(vector.dot(t.linear, gap), vector.dot(t.angular, drawn)) for t in twists]
+    slope = [plus(vector.dot(t.linear, pulled), vector.dot(t.angular, drawn)) for t in twists]
     curve = []
     for i, mine in enumerate(twists):
         pulls = vector.add(mine.linear, vector.cross(gap, mine.angular))
         turns = vector.add(turn.rate(mine.angular), vector.cross(turn.vector, mine.angular))
-        pulls, turns = tuple(map(hold, pulls)), tuple(hold(times(worth, x)) for x in turns)
+        pulls, turns = (
+            tuple(hold(times(weight, x)) for x in way)
+            for weight, way in ((wish.point, pulls), (worth, turns))
+        )
         rest = twists[i:]
         curve.append([plus(vector.dot(t.linear, pulls), vector.dot(t.angular, turns)) for t in rest])
     lower = [[curve[j][i - j] for j in range(i + 1)] for i in range(arm.n)]
     slope, lower = _of_motors(arm, slope, lower)
     far, turned = hold(vector.dot(gap, gap)), hold(vector.dot(turn.vector, turn.vector))
     return Standing(
-        hold(far + worth * turned),
+        hold(times(wish.point, far) + worth * turned),
         tuple(map(hold, slope)),
         tuple(tuple(map(hold, row)) for row in lower),
         hold(safe.sqrt(far)),
@@ -209,11 +217,8 @@ def descend(arm: Arm, wish: Wish, q: Joints, steps, hold: HoldLike, damping: Sca
     program twice as long.
     """
     zero = jnp.zeros_like(q[0])
-    nowhere = Standing(
-        zero + jnp.inf, (zero,) * arm.n, tuple((zero,) * i + (zero + 1,) for i in range(arm.n)), zero, zero
-    )
     damping = zero + FIRST_DAMPING if damping is None else damping
-    state = State(q, nowhere, damping * EASED)
+    state = State(q, nowhere(arm, zero), damping * EASED)
 
     def again(_, state: State) -> State:
         return step(arm, wish, state, held_once(hold(state.q[0])))
@@ -221,12 +226,18 @@ def descend(arm: Arm, wish: Wish, q: Joints, steps, hold: HoldLike, damping: Sca
     return jax.lax.fori_loop(0, steps + 1, again, state)
 
 
+def nowhere(arm: Arm, zero: Scalar) -> Standing:
+    """Worse than anywhere."""
+    curve = tuple((zero,) * i + (zero + 1,) for i in range(arm.n))
+    return Standing(zero + jnp.inf, (zero,) * arm.n, curve, zero, zero)
+
+
 def step(arm: Arm, wish: Wish, state: State, hold: Hold) -> State:
     """One damped Newton step, taken only if it leads down."""
     q, at, damping = state
     noise, zero = float(jnp.finfo(at.cost.dtype).eps), jnp.zeros_like(at.cost)
     free = [hold(jnp.where(b, zero, zero + 1)) for b in held_back(arm, q, at.slope)]
-    floor = jnp.asarray(FLOOR, at.cost.dtype)
+    floor = jnp.asarray(wish.floor, at.cost.dtype)
     matrix = [
         [hold(free[i] * free[j] * at.curve[i][j]) for j in range(i)]
         + [hold(free[i] * (at.curve[i][i] + damping * (abs(at.curve[i][i]) + 1e-2)) + (1 - free[i]))]

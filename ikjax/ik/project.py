@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ikjax.arm.arm import Arm
+from ikjax.ik import priority as priorities
 from ikjax.ik.projection import Projection
 from ikjax.ik.refine import STEPS, best_of, checked, descended
 
@@ -16,7 +17,13 @@ SCATTERED, BESIDE = 64, 28
 
 
 def project(
-    arm: Arm, goals, length: float = 0.1, *, steps: int = STEPS, beside: int | None = None
+    arm: Arm,
+    goals,
+    length: float = 0.1,
+    *,
+    priority: str = "weighted",
+    steps: int = STEPS,
+    beside: int | None = None,
 ) -> Projection:
     """The attainable pose nearest to each goal, within the joint limits.
 
@@ -32,6 +39,8 @@ def project(
         arm: Any arm of up to seven joints.
         goals: T_world_tool, (..., 4, 4), float32 or float64. A goal that is no pose is never `converged`.
         length: What a radian is worth [m]; positive.
+        priority: "weighted" is the cost above. "position" and "orientation" put one error first; see
+            `refine`. Where the closed form holds the point, it is what "position" starts from.
         steps: At most so many steps of refinement from each branch; with none, the closed form alone.
         beside: So many starts beside the branches; 28 by default for an arm with limits that is refined, else
             none. They are most of the work.
@@ -44,17 +53,28 @@ def project(
         ValueError: Wrong shapes or types.
     """
     goals, arm = checked(arm, goals, length)
-    if arm.family is None:
-        starts = scattered(arm, goals.shape[:-2], SCATTERED if beside is None else beside)
-        return best_of(descended(arm, goals, starts, length, steps))
-    found = descended(arm, goals, None, length, steps)
+    priority = priorities.checked(arm, priority)
     if beside is None:
-        beside = BESIDE if steps and _limited(arm) else 0
-    if beside:
-        more = descended(arm, goals, scattered(arm, goals.shape[:-2], beside), length, steps)
-        axis = goals.ndim - 2
-        found = jax.tree.map(lambda x, y: jnp.concatenate([x, y], axis), found, more)
-    return best_of(found)
+        beside = SCATTERED if arm.family is None else BESIDE if steps and _limited(arm) else 0
+    return best_of(arm, _from_all(arm, goals, length, steps, beside, priority), priority)
+
+
+def _from_all(arm: Arm, goals, length, steps: int, beside: int, priority: str) -> Projection:
+    more = scattered(arm, goals.shape[:-2], beside)
+    if arm.family is None:
+        return descended(arm, goals, more, length, steps, priority)
+    if priority != "weighted" and steps:
+        # The closed form once for all priorities, and all starts in one program.
+        still = jax.lax.stop_gradient((arm, goals, jnp.asarray(length, goals.dtype)))
+        closed = descended(*still[:2], None, still[2], 0).q
+        starts = jnp.concatenate([closed, more], axis=-2)
+        return descended(arm, goals, starts, length, steps, priority)
+    found = descended(arm, goals, None, length, steps)
+    if not beside:
+        return found
+    rest = descended(arm, goals, more, length, steps)
+    axis = goals.ndim - 2
+    return jax.tree.map(lambda x, y: jnp.concatenate([x, y], axis), found, rest)
 
 
 def _limited(arm: Arm) -> bool:

@@ -23,8 +23,9 @@ class Projection:
     """(...) angle of `fk(arm, q)` from the goal [rad]; zero where the task asks for none."""
     gradient_norm: jax.Array
     """(...) length of the slope of half the cost, lengths in reaches: zero where no small move improves the
-    pose. Joints that a limit holds back are left out; a residual of more than a reach divides it. Of a loss
-    of the caller's own, the slope as it is."""
+    pose. Joints that a limit holds back are left out; a residual of more than a reach divides it. With a
+    priority, of the first error and a last share of the second, by that share's root. Of a loss of the
+    caller's own, the slope as it is."""
     converged: jax.Array
     """(...) bool: the goal is a pose, and gradient_norm at most 1e-8 (float64) or 2e-5 (float32)."""
     branches: "Projection | None" = None

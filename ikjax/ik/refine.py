@@ -4,6 +4,7 @@ Storey: ik. The default descends by damped Newton steps (`ik.descent`); any othe
 Called eagerly, all starts take a few steps and those that are not down yet take the rest.
 """
 
+import dataclasses
 from typing import NamedTuple
 
 import jax
@@ -13,6 +14,7 @@ import numpy as np
 from ikjax.arm.arm import Arm
 from ikjax.core.pose import Pose
 from ikjax.ik import blocks, descent
+from ikjax.ik import priority as priorities
 from ikjax.ik.graph import Entries, entries_of, holder
 from ikjax.ik.lossy import minimised
 from ikjax.ik.projection import Projection
@@ -31,6 +33,7 @@ def refine(
     q0,
     length: float = 0.1,
     *,
+    priority: str = "weighted",
     steps: int = STEPS,
     loss=None,
     optimizer=None,
@@ -48,16 +51,20 @@ def refine(
         q0: (..., n) joint values to start from, or (..., S, n) for S starts of each goal.
         length: What a radian is worth [m]; positive. A short one holds the point and a long one the
             orientation, each to about its square over a square length of the arm.
+        priority: "weighted" is that sum. "position": of the poses with the least distance, that of the least
+            angle; "orientation" the reverse (`ik.priority`), in stages of `steps`. Of the starts, those
+            whose first error is the least to 1e-7 (float32: 1e-4) reaches or rad count as equal, and the
+            second decides.
         steps: At most so many.
         loss: `loss(arm, goal, q)` of one goal (4, 4) and joints (n,), to minimise instead.
         optimizer: An optax optimiser for `loss`; `optax.adam(0.02)` by default. Joints are put back into the
             limits after each step, and the best of all steps is returned.
 
     Returns:
-        `Projection`. Inside jit it takes all `steps` for every start. `q`, `cost` and the errors have slopes
-        in the goals and the arm's leaves, by the condition that holds at the bottom, joints at a limit
-        standing still; those of `q` are zero where it is not `converged`. With `loss` the slopes are those
-        of its steps.
+        `Projection`; its `cost` is the weighted one whatever the priority. Inside jit it takes all `steps`
+        for every start. `q`, `cost` and the errors have slopes in the goals and the arm's leaves, by the
+        condition that holds at the bottom, joints at a limit standing still; those of `q` are zero where it
+        is not `converged`. With `loss` the slopes are those of its steps.
 
     Raises:
         ValueError: Wrong shapes or types.
@@ -75,8 +82,9 @@ def refine(
     except ValueError as error:
         raise ValueError(f"q0 must have shape {wanted} or (..., S, {arm.n}), got {jnp.shape(q0)}") from error
     if loss is not None:
-        return best_of(minimised(arm, goals, starts, loss, optimizer, steps))
-    return best_of(descended(arm, goals, starts, length, steps))
+        return best_of(arm, minimised(arm, goals, starts, loss, optimizer, steps))
+    priority = priorities.checked(arm, priority)
+    return best_of(arm, descended(arm, goals, starts, length, steps, priority), priority)
 
 
 def checked(arm: Arm, goals, length) -> tuple[jax.Array, Arm]:
@@ -86,9 +94,9 @@ def checked(arm: Arm, goals, length) -> tuple[jax.Array, Arm]:
     return goals, arm.astype(goals.dtype)
 
 
-def best_of(branches: Projection) -> Projection:
+def best_of(arm: Arm, branches: Projection, priority: str = "weighted") -> Projection:
     """The start that came out lowest, and all of them."""
-    best = jnp.argmin(branches.cost, axis=-1)
+    best = jnp.argmin(priorities.rank(arm, branches, priority), axis=-1)
 
     def pick(x: jax.Array) -> jax.Array:
         index = best.reshape(*best.shape, *[1] * (x.ndim - best.ndim))
@@ -97,25 +105,27 @@ def best_of(branches: Projection) -> Projection:
     return Projection(**{k: pick(x) for k, x in vars(branches).items() if x is not None}, branches=branches)
 
 
-def descended(arm: Arm, goals: jax.Array, starts, length, steps: int) -> Projection:
+def descended(
+    arm: Arm, goals: jax.Array, starts, length, steps: int, priority: str = "weighted"
+) -> Projection:
     """Every start (..., S, n) after its steps, fields (..., S); the closed form's own where it is None."""
     length = jnp.asarray(length, goals.dtype)
     if not is_traced((arm, goals, starts, length)):
-        return _in_blocks(arm, goals, starts, length, steps)
+        return _in_blocks(arm, goals, starts, length, steps, priority)
     still = jax.lax.stop_gradient((arm, goals, starts, length))
     arm_still = still[0] if is_traced(arm) else arm.baked()
     columns = None if starts is None else tuple(still[2][..., i] for i in range(arm.n))
     if columns is not None:
         columns = tuple(jnp.moveaxis(x, -1, 0) for x in columns)
-    found = _descended(arm_still, entries_of(still[1]), columns, still[3], steps, None)
+    found = _descended(arm_still, entries_of(still[1]), columns, still[3], steps, None, priority)
     shape = found.cost.shape
 
     def rows(x):
         return jnp.moveaxis(jnp.broadcast_to(x, shape), 0, -1)
 
-    q = jnp.stack([rows(x) for x in found.q], axis=-1)
+    q, bottom = (jnp.stack([rows(x) for x in joints], axis=-1) for joints in (found.q, found.bottom))
     fields = {name: rows(getattr(found, name)) for name in FIELDS}
-    q, errors = with_slopes(arm, goals, q, length, fields["converged"])
+    q, errors = with_slopes(arm, goals, q, bottom, length, fields["converged"], priority)
     return Projection(q=q, **{**fields, **errors})
 
 
@@ -132,13 +142,15 @@ class Found(NamedTuple):
     gradient_norm: jax.Array
     converged: jax.Array
     damping: jax.Array
+    bottom: tuple
+    """Joints at which the slopes are taken."""
 
 
-def _descended(arm: Arm, entries: Entries, starts, length, steps, damping) -> Found:
+def _descended(arm: Arm, entries: Entries, starts, length, steps, damping, priority: str) -> Found:
     """All starts of goals, whose entries are (...), each number (S, ...)."""
     goal, proper, near = asked(arm, entries)
     starts = proposals(arm, goal, near) if starts is None else starts
-    return from_starts(arm, goal, proper, starts, length, steps, damping)
+    return from_starts(arm, goal, proper, starts, length, steps, damping, priority)
 
 
 def asked(arm: Arm, entries: Entries):
@@ -158,49 +170,57 @@ def proposals(arm: Arm, goal: Pose, near) -> tuple[jax.Array, ...]:
     return tuple(jnp.stack([jnp.broadcast_to(x, shape) for x in column]) for column in columns)
 
 
-def from_starts(arm: Arm, goal: Pose, proper, starts, length, steps, damping) -> Found:
+def from_starts(
+    arm: Arm, goal: Pose, proper, starts, length, steps, damping, priority: str = "weighted"
+) -> Found:
     """All starts after their steps."""
     starts = descent.into_limits(arm, starts)
-    wish = descent.Wish(jax.tree.map(lambda x: x[None], goal), length)
-    state = descent.descend(arm, wish, starts, steps, holder, damping)
-    flat = descent.steepness(arm, state.q, state.at)
+    goal = jax.tree.map(lambda x: x[None], goal)
+    state, flat, bottom = priorities.descend(arm, goal, length, priority, starts, steps, holder, damping)
     down = proper[None] & (flat <= descent.CONVERGED[flat.dtype.name])
-    size = reach(arm)
-    return Found(
-        state.q, size * size * state.at.cost, size * state.at.gap, state.at.angle, flat, down, state.damping
-    )
+    at, size = state.at, reach(arm)
+    cost = size * size * at.cost
+    if priority != "weighted":
+        cost = (size * at.gap) ** 2 + (length * at.angle) ** 2
+    return Found(state.q, cost, size * at.gap, at.angle, flat, down, state.damping, bottom)
 
 
-def _block(arm: Arm, rows) -> dict[str, jax.Array]:
+@dataclasses.dataclass(frozen=True)
+class _Descending:
     """A block of goals; each row holds what a radian is worth to it, and the steps, alike in all."""
-    goals, length, steps, starts, damping = rows
-    columns = blocks.columns_of(goals)
-    entries = tuple(tuple(columns[4 * i + j] for j in range(4)) for i in range(4))
-    if starts is not None:
-        spread = blocks.columns_of(starts).reshape(*starts.shape[1:], -1)
-        starts = tuple(spread[:, i] for i in range(arm.n))
-        damping = None if damping is None else blocks.columns_of(damping)
-    found = _descended(arm, entries, starts, length[None, :, 0], steps[0, 0], damping)
-    count = found.cost.shape[0]
-    fields = {name: blocks.packed(list(getattr(found, name))) for name in (*FIELDS, "damping")}
-    q = blocks.packed([x[s] for s in range(count) for x in found.q])
-    return {**fields, "q": q.reshape(-1, count, arm.n)}
+
+    priority: str
+
+    def __call__(self, arm: Arm, rows) -> dict[str, jax.Array]:
+        goals, length, steps, starts, damping = rows
+        columns = blocks.columns_of(goals)
+        entries = tuple(tuple(columns[4 * i + j] for j in range(4)) for i in range(4))
+        if starts is not None:
+            spread = blocks.columns_of(starts).reshape(*starts.shape[1:], -1)
+            starts = tuple(spread[:, i] for i in range(arm.n))
+            damping = None if damping is None else blocks.columns_of(damping)
+        found = _descended(arm, entries, starts, length[None, :, 0], steps[0, 0], damping, self.priority)
+        count = found.cost.shape[0]
+        fields = {name: blocks.packed(list(getattr(found, name))) for name in (*FIELDS, "damping")}
+        q = blocks.packed([x[s] for s in range(count) for x in found.q])
+        return {**fields, "q": q.reshape(-1, count, arm.n)}
 
 
-def _in_blocks(arm: Arm, goals: jax.Array, starts, length, steps: int) -> Projection:
+def _in_blocks(arm: Arm, goals: jax.Array, starts, length, steps: int, priority: str) -> Projection:
     batch, flat = goals.shape[:-2], goals.reshape(-1, 4, 4)
     worth = jnp.broadcast_to(length, (flat.shape[0], 1))
     if starts is not None:
         starts = starts.reshape(-1, *starts.shape[-2:])
     few = jnp.full(worth.shape, min(steps, FIRST), jnp.int32)
-    found = blocks.in_blocks(_block, arm, (flat, worth, few, starts, None))
+    block = _Descending(priority)
+    found = blocks.in_blocks(block, arm, (flat, worth, few, starts, None))
     if steps > FIRST:
         late = np.nonzero(~np.asarray(found["converged"]))
         if late[0].size:
             at, slot = (jnp.asarray(x) for x in late)
             q, damping = found["q"][at, slot][:, None], found["damping"][at, slot][:, None]
             rest = jnp.full((*at.shape, 1), steps - FIRST, jnp.int32)
-            more = blocks.in_blocks(_block, arm, (flat[at], worth[at], rest, q, damping))
+            more = blocks.in_blocks(block, arm, (flat[at], worth[at], rest, q, damping))
             found = {name: x.at[at, slot].set(more[name][:, 0]) for name, x in found.items()}
     del found["damping"]
     return Projection(**{name: x.reshape(*batch, *x.shape[1:]) for name, x in found.items()})

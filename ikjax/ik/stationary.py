@@ -11,6 +11,7 @@ Source: the implicit function theorem.
 """
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -22,16 +23,21 @@ from ikjax.core.linear import solve_symmetric
 from ikjax.core.pose import Pose
 from ikjax.ik import descent
 from ikjax.ik.graph import holder
+from ikjax.ik.priority import SHARE, wish
 from ikjax.solvers.family import clean, reach
 
 
-def with_slopes(arm: Arm, goals, q, length, converged):
-    """Joints (..., S, n), and cost and errors (..., S), with their derivatives in the arm and the goals."""
-    q = _joints(arm, goals, q, jax.lax.stop_gradient(length), converged)
+def with_slopes(arm: Arm, goals, q, bottom, length, converged, priority: str):
+    """Joints (..., S, n), and cost and errors (..., S), with their derivatives in the arm and the goals.
+
+    Those of the joints are taken at `bottom`, of the sum of which one error is worth little: there, and not
+    where the other is gone, what holds the pose is seen in what is left of it.
+    """
+    q = _joints(priority, arm, goals, q, bottom, jax.lax.stop_gradient(length), converged)
     goal = _as_moved(goals, reach(arm))
-    wish = descent.Wish(jax.tree.map(lambda x: x[None], goal), length)
+    asked = descent.Wish(jax.tree.map(lambda x: x[None], goal), length)
     columns = _columns(q)
-    cost, gap, angle = descent.errors(arm, wish, columns, _hold(columns))
+    cost, gap, angle = descent.errors(arm, asked, columns, _hold(columns))
     fields = {"cost": cost, "position_error": gap, "rotation_error": angle}
     return q, {name: jnp.moveaxis(x, 0, -1) for name, x in fields.items()}
 
@@ -67,20 +73,20 @@ def _slope_only(x):
     return x - jax.lax.stop_gradient(x)
 
 
-@jax.custom_jvp
-def _joints(arm: Arm, goals, q, length, converged):
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _joints(priority: str, arm: Arm, goals, q, bottom, length, converged):
     return q
 
 
 @_joints.defjvp
-def _(primals, tangents):
-    arm, goals, q, length, converged = primals
-    q = _joints(arm, goals, q, length, converged)
-    columns = _columns(q)
+def _(priority: str, primals, tangents):
+    arm, goals, q, bottom, length, converged = primals
+    q = _joints(priority, arm, goals, q, bottom, length, converged)
+    columns = _columns(bottom)
 
     def slope(arm, goals):
         goal = jax.tree.map(lambda x: x[None], _as_moved(goals, reach(arm)))
-        return descent.standing(arm, descent.Wish(goal, length), columns, _hold(columns))
+        return descent.standing(arm, wish(arm, goal, length, priority), columns, _hold(columns))
 
     moved_arm = dataclasses.replace(tangents[0], limits=jnp.zeros_like(arm.limits))
     at, rate = jax.jvp(slope, (arm, goals), (moved_arm, tangents[1]))
@@ -92,7 +98,7 @@ def _(primals, tangents):
         for i, row in enumerate(at.curve)
     ]
     right = [jnp.where(f, 0, -s) for f, s in zip(fixed, rate.slope, strict=True)]
-    floor = jnp.finfo(q.dtype).eps ** 0.5
+    floor = jnp.finfo(q.dtype).eps ** 0.5 * (1.0 if priority == "weighted" else SHARE[q.dtype.name] ** 0.5)
     steps = solve_symmetric(matrix, right, floor=jnp.asarray(floor, q.dtype))
     size = reach(arm)
     units = [size if kind == "P" else 1.0 for kind in arm.kinds]
