@@ -1,0 +1,108 @@
+"""The words of a command line: which commands there are and what they take.
+
+Outside the storeys.
+"""
+
+import argparse
+import math
+from typing import NoReturn
+
+import ikjax
+from ikjax.cli.checks import run_doctor, run_verify
+from ikjax.cli.info import run_info, run_solve
+from ikjax.cli.maps import run_show, run_sweep
+from ikjax.cli.say import plain
+from ikjax.study.stop import OTHERS_ENDED, TIME_IS_UP
+
+SWEEP_ENDS = f"""\
+Beside a map in a folder lies its diary, MAP.log. Exit codes:
+  0    swept, and something is reached
+  1    swept, and nothing is reached
+  2    bad input, a map of another study, another writer at work
+  3    the map cannot be written; the units before that are whole
+  {TIME_IS_UP}    --max-hours are over; go on with --resume
+  {OTHERS_ENDED}    another process of --distributed ended early; go on with --resume
+  130  stopped by SIGINT (Ctrl-C), 143 by SIGTERM; go on with --resume
+"""
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose complaint is one line, without the usage."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: {plain(message)}\n")
+
+
+def _size(text: str) -> float:
+    """A finite length above zero [m]."""
+    if not 0 < float(text) < math.inf:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
+    return float(text)
+
+
+def _count(text: str) -> int:
+    """A whole number above zero, 1e6 too."""
+    if not (1 <= float(text) <= 1e12 and float(text).is_integer()):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of goals")
+    return int(float(text))
+
+
+def parser() -> argparse.ArgumentParser:
+    top = _Parser(prog="ikjax", description="Closed-form inverse kinematics.")
+    top.add_argument("--version", action="version", version=f"ikjax {ikjax.__version__}")
+    commands = top.add_subparsers(required=True, metavar="COMMAND")
+
+    def command(run, name: str, text: str) -> argparse.ArgumentParser:
+        parser = commands.add_parser(name, help=text, description=text)
+        parser.add_argument("--json", action="store_true", help="print one JSON object")
+        parser.set_defaults(run=run)
+        return parser
+
+    info = command(run_info, "info", "List the catalogue, or describe one arm.")
+    info.add_argument("arm", nargs="?")
+
+    solve = command(run_solve, "solve", "Every branch of one goal.")
+    solve.add_argument("arm")
+    solve.add_argument("--xyz", nargs=3, type=float, required=True, metavar=("X", "Y", "Z"), help="[m]")
+    turn = solve.add_mutually_exclusive_group()
+    turn.add_argument("--rpy", nargs=3, type=float, metavar=("R", "P", "Y"), help="[rad]")
+    turn.add_argument("--wxyz", nargs=4, type=float, metavar=("W", "X", "Y", "Z"))
+    solve.add_argument("--q-now", nargs="+", type=float, help="joints [rad] that arbitrary ones follow")
+    solve.add_argument("--limits", action="store_true", help="only what is within the joint limits counts")
+    solve.add_argument("--radians", action="store_true", help="print radians, not degrees")
+    _add_dtype(solve, "--float32")
+
+    sweep = command(run_sweep, "sweep", "Sweep an arm's workspace: a map, a picture, a summary.")
+    sweep.formatter_class = argparse.RawDescriptionHelpFormatter
+    sweep.epilog = SWEEP_ENDS
+    sweep.add_argument("arm", metavar="ARM|STUDY.toml", help="an arm, a URDF file, or a file that says all")
+    sweep.add_argument("--spacing", type=_size, help="between positions [m], 0.05 by default")
+    sweep.add_argument("--orientations", type=int, help="even ones at every position, 512 by default")
+    sweep.add_argument("--out", help="store the map here: a folder (zarr v3), or a URL such as s3://...")
+    sweep.add_argument("--resume", action="store_true", help="go on with what is at --out, or start")
+    sweep.add_argument("--force", action="store_true", help="replace a map; with --resume, another study's")
+    sweep.add_argument("--max-hours", type=_size, help="stop at the end of a unit after so long")
+    sweep.add_argument("--distributed", action="store_true", help="share the units with other processes")
+    sweep.add_argument("--coordinator", metavar="HOST:PORT", help="where jax does not find it by itself")
+    sweep.add_argument("--processes", type=int, metavar="N", help="likewise; and --process, 0 to N - 1")
+    sweep.add_argument("--process", type=int, metavar="I", help=argparse.SUPPRESS)
+    sweep.add_argument("--compare", metavar="MAP", help="an earlier map to compare with")
+    sweep.add_argument("--picture", help="write a PNG here")
+    _add_dtype(sweep, "--float64")
+
+    show = command(run_show, "show", "Summary and picture of a stored map.")
+    show.add_argument("map")
+    show.add_argument("--picture", help="write a PNG here")
+
+    verify = command(run_verify, "verify", "Solve goals made by an arm's own joints and judge every answer.")
+    verify.add_argument("arm", nargs="*", help="all of the catalogue by default")
+    verify.add_argument("-n", type=_count, default=100_000, dest="count", help="random goals an arm")
+    verify.add_argument("--out", help="write the table here, as Markdown")
+    _add_dtype(verify, "--float32")
+
+    command(run_doctor, "doctor", "Versions, devices, and a numeric self-check on this device.")
+    return top
+
+
+def _add_dtype(parser: argparse.ArgumentParser, flag: str) -> None:
+    parser.add_argument(flag, action="store_true", dest="other_dtype", help=f"compute in {flag[2:]}")

@@ -1,0 +1,96 @@
+"""Layers of a box grid: which, where they lie, and where in one an arm is shown well.
+
+Storey: plot.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ikjax.core.pose import pose
+from ikjax.ik.select import within_limits
+from ikjax.ik.solve import solve
+from ikjax.plot.stick import sticks
+
+Slice = tuple[str, float]
+"""The axis a plane is square to, "x", "y" or "z", and where on it the plane lies [m]."""
+
+
+class Plane(NamedTuple):
+    """One layer of the grid."""
+
+    axis: int
+    layer: int
+    at: float
+    """Where the layer really lies [m]."""
+
+
+def ticks_of(reach) -> tuple[np.ndarray, ...]:
+    """The grid's coordinates along x, y and z [m]."""
+    grid = reach.grid
+    return tuple(float(o) + grid.spacing * np.arange(n) for o, n in zip(grid.origin, grid.shape, strict=True))
+
+
+def plane_of(reach, piece: Slice) -> Plane:
+    try:
+        letter, value = piece
+        axis, value = ("x", "y", "z").index(letter), float(value)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f'a slice must be ("x", "y" or "z", metres), got {piece!r}') from error
+    ticks = ticks_of(reach)[axis]
+    layer = int(np.argmin(np.abs(ticks - value)))
+    return Plane(axis, layer, float(ticks[layer]))
+
+
+def usual(reach) -> list[Slice]:
+    """Both upright planes through the base, and level ones where the dexterity lies."""
+    base = np.asarray(reach.arm.base, float)[:3, 3]
+    weight = np.asarray(reach.dexterity, float).sum((0, 1))
+    share = np.cumsum(weight) / max(float(weight.sum()), 1e-30)
+    heights = ticks_of(reach)[2][[int(np.argmax(share >= part)) for part in (0.8, 0.5, 0.2)]]
+    level: list[Slice] = [("z", float(z)) for z in heights]
+    return [("y", float(base[1])), ("x", float(base[0])), *level]
+
+
+def kept(axis: int) -> tuple[int, int]:
+    """The axes that a plane shows, level first."""
+    across, up = (k for k in range(3) if k != axis)
+    return across, up
+
+
+def posture(reach, plane: Plane) -> np.ndarray:
+    """The arm at a dexterous cell well out in the plane, elbow up and as flat in it as can be."""
+    arm = reach.arm
+    place = _place_to_touch(reach, plane)
+    if place is None or arm.family is None:
+        return np.clip(0.0, *np.asarray(arm.limits, float).T)
+    turns = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    tilt = np.zeros((2, len(turns), 3))
+    tilt[:, :, 1], tilt[1, :, 2] = turns, np.pi
+    sol = solve(arm, pose(np.broadcast_to(place, tilt.shape), rpy=tilt, dtype=arm.dtype))
+    valid = np.asarray(within_limits(arm, sol).valid)
+    found = np.asarray(within_limits(arm, sol).q)[valid if valid.any() else np.asarray(sol.valid)]
+    across = kept(plane.axis)[0]
+
+    def looks(q) -> float:
+        line = sticks(arm, q).line
+        behind = min(0.0, float(line[1:-1, across].min() - line[0, across]))
+        return line[:, 2].mean() + behind - 2 * np.ptp(line[:, plane.axis])
+
+    return max(found, key=looks)
+
+
+def _place_to_touch(reach, plane: Plane) -> np.ndarray | None:
+    """Where in the plane a tool shows the arm well: dexterous, in front of the base, far from it."""
+    layer = np.asarray(reach.dexterity).take(plane.layer, plane.axis)
+    if not layer.any():
+        return None
+    across, up = kept(plane.axis)
+    ticks, base = ticks_of(reach), np.asarray(reach.arm.base, float)[:3, 3]
+    ahead = np.maximum(ticks[across] - base[across], 1e-6)[:, None]
+    rise = np.maximum(ticks[up] - base[up], 1e-6)[None, :]
+    # The square asks for dexterity first; the root of the height keeps the tool off the floor.
+    i, j = np.unravel_index(np.argmax(layer**2 * ahead * np.sqrt(rise)), layer.shape)
+    place = np.zeros(3)
+    place[[across, up, plane.axis]] = ticks[across][i], ticks[up][j], plane.at
+    return place

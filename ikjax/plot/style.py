@@ -1,0 +1,47 @@
+"""What all pictures share: colours, type sizes, and how a figure ends.
+
+Storey: plot.
+"""
+
+from typing import Any
+
+DPI = 200
+MAP = "viridis"
+INK, PALE, ACCENT = "#1b1b1b", "#e3e3e3", "#d1495b"
+TRIAD = ("#d1495b", "#2a9d5c", "#2f6fde")
+# Okabe and Ito's colours, told apart by colour-blind readers; their yellow is too pale for lines.
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7a4fb5", "#6b6b00")
+STYLE = {"font.size": 9, "axes.titlesize": 9, "axes.edgecolor": "#888888", "axes.linewidth": 0.6}
+STYLE |= {"xtick.color": "#555555", "ytick.color": "#555555", "xtick.labelsize": 8, "ytick.labelsize": 8}
+STYLE |= {"grid.color": "#dddddd", "grid.linewidth": 0.6}
+STYLE |= {f"axes3d.{k}axis.panecolor": (0.97, 0.97, 0.97, 0.6) for k in "xyz"}
+
+
+def pyplot() -> Any:
+    try:
+        import matplotlib.pyplot as plt
+    except ImportError as error:
+        raise ImportError("pictures need matplotlib: pip install ikjax[viz]") from error
+    return plt
+
+
+def finish(figure, path):
+    """The figure; saved and closed where a path is given."""
+    if path is not None:
+        figure.savefig(path, dpi=DPI)
+        pyplot().close(figure)
+    return figure
+
+
+def file_types() -> tuple[str, ...]:
+    """Endings that `path` may have, without the dot."""
+    plt = pyplot()
+    canvas = plt.figure().canvas
+    plt.close(canvas.figure)
+    return tuple(sorted(canvas.get_supported_filetypes()))
+
+
+def flat(colour: str):
+    from matplotlib.colors import ListedColormap
+
+    return ListedColormap([colour])
