@@ -1,38 +1,22 @@
-"""`ikjax sweep` and `ikjax show`: a map is made, and looked at.
+"""`ikjax sweep`: a map is made, or gone on with.
 
 Outside the storeys.
 """
 
 import dataclasses
 import math
-import pathlib
 import sys
-from typing import Any
 
 import jax
 
 import ikjax
-from ikjax.cli.say import complain, plain, say
-from ikjax.study import compare, recipe
+from ikjax.cli.say import complain, plain
+from ikjax.cli.show import check_places, report
+from ikjax.study import recipe
 from ikjax.study.orientations import as_orientations
-from ikjax.study.place import Place, StorageError
+from ikjax.study.place import StorageError
 from ikjax.study.stop import OTHERS_ENDED, Stop
 from ikjax.study.sweep import SweepStoppedError
-
-
-def check_places(options) -> None:
-    """Raise now what a sweep would find out at its end: nothing to draw with, nowhere to write."""
-    out = getattr(options, "out", None)
-    if options.picture:
-        pathlib.Path(options.picture).absolute().parent.mkdir(parents=True, exist_ok=True)
-    if out:
-        Place(out)
-    if options.picture:
-        from ikjax import plot
-
-        kinds = plot.file_types()
-        if pathlib.Path(options.picture).suffix[1:].lower() not in kinds:
-            raise ValueError(f"--picture must end in one of {', '.join(kinds)}, got {options.picture!r}")
 
 
 def _study(options) -> recipe.Recipe:
@@ -100,27 +84,4 @@ def run_sweep(options) -> int:
         except StorageError as error:
             complain(error)
             return 3
-    return report(options, reach, earlier) if leads else 0
-
-
-def run_show(options) -> int:
-    check_places(options)
-    return report(options, ikjax.ReachMap.load(options.map))
-
-
-def report(options, reach: ikjax.ReachMap, earlier: ikjax.ReachMap | None = None) -> int:
-    text = reach.summary()
-    data: dict[str, Any] = {"arm": reach.arm.name, **reach.numbers()}
-    if reach.units is not None:
-        text += f"\n  map               {options.out}: {reach.units}"
-        data["units"] = reach.units._asdict()
-    if options.picture:
-        from ikjax import plot
-
-        plot.reach_map(reach, options.picture)
-        text += f"\n  picture           {options.picture}"
-    if earlier is not None:
-        data["compared"] = compare.compare(earlier, reach)
-        text += f"\n{compare.in_words(data['compared'], options.compare)}"
-    say(options, text, data)
-    return 0 if data["positions_reachable"] > 0 else 1
+    return report(options, reach, earlier, options.compare) if leads else 0

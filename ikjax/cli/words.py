@@ -10,8 +10,9 @@ from typing import NoReturn
 import ikjax
 from ikjax.cli.checks import run_doctor, run_verify
 from ikjax.cli.info import run_info, run_solve
-from ikjax.cli.maps import run_show, run_sweep
+from ikjax.cli.maps import run_sweep
 from ikjax.cli.say import plain
+from ikjax.cli.show import run_show
 from ikjax.study.stop import OTHERS_ENDED, TIME_IS_UP
 
 SWEEP_ENDS = f"""\
@@ -90,9 +91,13 @@ def parser() -> argparse.ArgumentParser:
     sweep.add_argument("--picture", help="write a PNG here")
     _add_dtype(sweep, "--float64")
 
-    show = command(run_show, "show", "Summary and picture of a stored map.")
+    show = command(run_show, "show", "Summary, page (HTML) and picture of a stored map, or of two compared.")
     show.add_argument("map")
-    show.add_argument("--picture", help="write a PNG here")
+    show.add_argument("other", nargs="?", metavar="SECOND", help="a map to compare with the first")
+    show.add_argument("--page", help="write the page here, by default MAP.html with MAP.png")
+    show.add_argument("--picture", help="write a PNG here; alone, no page")
+    show.add_argument("--viewer", action="store_true", help="turn the map in a browser, on 127.0.0.1 only")
+    show.add_argument("--port", type=int, default=8080, help="of the viewer, 8080 by default")
 
     verify = command(run_verify, "verify", "Solve goals made by an arm's own joints and judge every answer.")
     verify.add_argument("arm", nargs="*", help="all of the catalogue by default")

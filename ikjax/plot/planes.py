@@ -3,10 +3,12 @@
 Storey: plot.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
+from ikjax.arm.arm import Arm
 from ikjax.core.pose import pose
 from ikjax.ik.select import within_limits
 from ikjax.ik.solve import solve
@@ -60,24 +62,37 @@ def kept(axis: int) -> tuple[int, int]:
 
 def posture(reach, plane: Plane) -> np.ndarray:
     """The arm at a dexterous cell well out in the plane, elbow up and as flat in it as can be."""
-    arm = reach.arm
-    place = _place_to_touch(reach, plane)
+    place, across = _place_to_touch(reach, plane), kept(plane.axis)[0]
+
+    def looks(q) -> float:
+        line = sticks(reach.arm, q).line
+        behind = min(0.0, float(line[1:-1, across].min() - line[0, across]))
+        return line[:, 2].mean() + behind - 2 * np.ptp(line[:, plane.axis])
+
+    return best_posture(reach.arm, place, looks)
+
+
+def best_posture(arm: Arm, place, looks: Callable[[np.ndarray], float], frame=None) -> np.ndarray:
+    """Of the solutions at a place, within limits if any is, the one that looks best.
+
+    The tool is turned about y and upside down in the world; with a frame (3, 3), about its z axis only.
+    Where there is no place, the joints are at zero or as near to it as the limits allow.
+    """
     if place is None or arm.family is None:
         return np.clip(0.0, *np.asarray(arm.limits, float).T)
     turns = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     tilt = np.zeros((2, len(turns), 3))
     tilt[:, :, 1], tilt[1, :, 2] = turns, np.pi
-    sol = solve(arm, pose(np.broadcast_to(place, tilt.shape), rpy=tilt, dtype=arm.dtype))
-    valid = np.asarray(within_limits(arm, sol).valid)
-    found = np.asarray(within_limits(arm, sol).q)[valid if valid.any() else np.asarray(sol.valid)]
-    across = kept(plane.axis)[0]
-
-    def looks(q) -> float:
-        line = sticks(arm, q).line
-        behind = min(0.0, float(line[1:-1, across].min() - line[0, across]))
-        return line[:, 2].mean() + behind - 2 * np.ptp(line[:, plane.axis])
-
-    return max(found, key=looks)
+    if frame is not None:
+        tilt[:, :, 1], tilt[:, :, 2] = 0, turns
+    goals = np.array(pose(np.broadcast_to(place, tilt.shape), rpy=tilt, dtype=arm.dtype))
+    if frame is not None:
+        goals[..., :3, :3] = frame @ goals[..., :3, :3]
+    sol = solve(arm, goals)
+    inside = within_limits(arm, sol)
+    valid = np.asarray(inside.valid)
+    found = np.asarray(inside.q)[valid if valid.any() else np.asarray(sol.valid)]
+    return max(found, key=looks) if len(found) else best_posture(arm, None, looks)
 
 
 def _place_to_touch(reach, plane: Plane) -> np.ndarray | None:

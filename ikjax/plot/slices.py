@@ -7,13 +7,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ikjax.plot.disc import shell_map
 from ikjax.plot.planes import Plane, Slice, kept, plane_of, posture, ticks_of, usual
-from ikjax.plot.stick import Sticks, draw_flat, sticks
+from ikjax.plot.points import point_map
+from ikjax.plot.stick import draw_flat, sticks
 from ikjax.plot.style import INK, MAP, PALE, STYLE, finish, flat, pyplot
+from ikjax.study.goals import Grid, Shell
 
 
 def reach_map(reach, path=None, q=None, slices: Sequence[Slice] | None = None):
-    """A workspace in slices, coloured by dexterity, with the arm in the largest.
+    """A workspace coloured by dexterity: a box grid in slices with the arm in the largest, a shell as discs
+    of equal area, a surface or a list as points beside the arm.
 
     White cannot be reached; grey can, but not within the joint limits.
 
@@ -29,12 +33,16 @@ def reach_map(reach, path=None, q=None, slices: Sequence[Slice] | None = None):
 
     Raises:
         ImportError: Without matplotlib.
-        ValueError: A slice that is not ("x", "y" or "z", metres).
+        ValueError: A slice that is not ("x", "y" or "z", metres), or one of what is no box grid.
     """
     plt = pyplot()
+    if not isinstance(reach.grid, Grid):
+        if slices is not None:
+            raise ValueError(f"slices are of a box grid, got {reach.grid.in_words()}")
+        return shell_map(reach, path) if isinstance(reach.grid, Shell) else point_map(reach, path, q)
     planes = [plane_of(reach, piece) for piece in (usual(reach) if slices is None else slices)]
     body = sticks(reach.arm, posture(reach, planes[0]) if q is None else q)
-    span = span_of(reach, body)
+    span = span_of(reach, body.line)
     top = max(0.1, np.ceil(10 * float(np.max(reach.dexterity, initial=0))) / 10)
     with plt.rc_context(STYLE):
         figure = plt.figure(figsize=(13, 6.7), layout="constrained")
@@ -50,13 +58,13 @@ def reach_map(reach, path=None, q=None, slices: Sequence[Slice] | None = None):
     return finish(figure, path)
 
 
-def span_of(reach, body: Sticks) -> np.ndarray:
-    """(3, 2) what the panels show [m]: all that can be reached, the base and the arm."""
+def span_of(reach, line: np.ndarray) -> np.ndarray:
+    """(3, 2) what the panels show [m]: all that can be reached, and some points."""
     cells = np.argwhere(np.asarray(reach.reachable) > 0)
     corners = np.asarray(reach.grid.origin, float) + reach.grid.spacing * np.array(
         [cells.min(0), cells.max(0)] if len(cells) else [np.zeros(3), np.subtract(reach.grid.shape, 1)]
     )
-    points = np.concatenate([corners, body.line])
+    points = np.concatenate([corners, line])
     return np.stack([points.min(0), points.max(0)], axis=1) + np.array([-1.5, 1.5]) * reach.grid.spacing
 
 

@@ -27,11 +27,15 @@ class Sticks(NamedTuple):
 
 def sticks(arm: Arm, q) -> Sticks:
     """What is drawn of an arm at q, (n,)."""
-    stations = np.asarray(frames(arm, q), float)
+    return sticks_of(arm, np.asarray(frames(arm, q), float), np.asarray(fk(arm, q), float))
+
+
+def sticks_of(arm: Arm, stations: np.ndarray, tip: np.ndarray) -> Sticks:
+    """The same from the poses of the links, (n + 1, 4, 4), and of the tool, (4, 4)."""
     origins, ahead = stations[:, :3, 3], stations[:, :3, 0]
     # In standard DH a link goes along its joint's axis first and along its own x axis last.
     corners = origins[1:] - np.asarray(arm.a, float)[:, None] * ahead[1:]
-    tool = np.asarray(fk(arm, q), float)[:3, 3]
+    tool = tip[:3, 3]
     line = [origins[0], *np.stack([corners, origins[1:]], axis=1).reshape(-1, 3), tool]
     return Sticks(np.array(line), origins[:-1], tool)
 
@@ -72,14 +76,14 @@ def draw_3d(ax, body: Sticks, colour: str, width: float) -> None:
     ax.plot(*body.tool, "D", color=INK, ms=1.2 * width, zorder=6)
 
 
-def box(ax, points: np.ndarray) -> None:
+def box(ax, points: np.ndarray, zoom: float = 0.94) -> None:
     """A cube around all points, so that lengths are equal on the three axes."""
     low, high = points.min(0), points.max(0)
     centre, half = (low + high) / 2, 0.55 * max(float((high - low).max()), 1e-9)
     for k, letter in enumerate("xyz"):
         getattr(ax, f"set_{letter}lim")(centre[k] - half, centre[k] + half)
         getattr(ax, f"set_{letter}label")(f"{letter} [m]", fontsize=7, labelpad=-7)
-    ax.set_box_aspect((1, 1, 1), zoom=0.94)
+    ax.set_box_aspect((1, 1, 1), zoom=zoom)
     ax.tick_params(labelsize=6, pad=-3)
     ax.locator_params(nbins=5)
 

@@ -6,7 +6,10 @@ Storey: plot.
 from typing import Any
 
 DPI = 200
+# Lightness rises all along, so it prints in grey and needs no hue to be read.
 MAP = "viridis"
+# Orange and purple are told apart by all kinds of colour blindness; what is printed grey has hatching too.
+DIVERGING = "PuOr"
 INK, PALE, ACCENT = "#1b1b1b", "#e3e3e3", "#d1495b"
 TRIAD = ("#d1495b", "#2a9d5c", "#2f6fde")
 # Okabe and Ito's colours, told apart by colour-blind readers; their yellow is too pale for lines.

@@ -1,0 +1,71 @@
+"""How a statistic is spread over the positions that are reached.
+
+Storey: plot.
+"""
+
+import numpy as np
+
+from ikjax.plot.disc import head
+from ikjax.plot.style import ACCENT, MAP, STYLE, finish, pyplot
+from ikjax.study.surface import Surface
+
+UNITS = {"best_margin": "[m]", "best_margin_within": "[m]", "dexterity": ""}
+
+
+def histogram(reach, name: str = "dexterity", path=None, bins: int = 25):
+    """A statistic's histogram over positions reached within the joint limits, by volume where they have one.
+
+    Args:
+        reach: A `ReachMap`.
+        name: "dexterity", or a statistic of the map with one number a position.
+        path: Where to save the picture.
+        bins: Number of bars.
+
+    Returns:
+        The figure.
+
+    Raises:
+        ImportError: Without matplotlib.
+        ValueError: A statistic that the map has not, or of several numbers a position.
+    """
+    plt = pyplot()
+    values = np.asarray(reach.dexterity if name == "dexterity" else reach.to_numpy().get(name, ()), float)
+    if values.shape != tuple(reach.grid.shape):
+        some = ", ".join(["dexterity", *(k for k, told in reach.told.items() if not told["axes"])])
+        raise ValueError(f"name must be one of {some}, got {name!r}")
+    inside = (reach.reachable_within > 0) & np.isfinite(values)
+    found = values[inside]
+    flat = not len(found) or found.min() == found.max()
+    low, high = (0.0, 1.0) if name == "dexterity" or flat else (found.min(), found.max())
+    edges = np.linspace(low, high, bins + 1)
+    place = np.clip(np.searchsorted(edges, values, "right") - 1, 0, bins - 1)
+    spread = isinstance(reach.grid, Surface)
+    size = [np.sum(part) if spread else reach.grid.volume(part) for part in _parts(place, inside, bins)]
+    words = "share of orientations reachable" if name == "dexterity" else name.replace("_", " ")
+    with plt.rc_context(STYLE):
+        figure, ax = plt.subplots(figsize=(7.2, 3.9), layout="constrained")
+        figure.get_layout_engine().set(rect=(0.01, 0.01, 0.98, 0.84))
+        colours = plt.get_cmap(MAP)(np.linspace(0, 1, bins))
+        ax.bar(
+            edges[:-1], size, np.diff(edges), align="edge", color=colours, edgecolor="white", linewidth=0.5
+        )
+        if len(found):
+            middle = float(np.median(found))
+            ax.axvline(middle, color=ACCENT, lw=1.4)
+            side, gap = ("right", -5) if middle > (low + high) / 2 else ("left", 5)
+            text = f"half are below {middle:.0%}" if name == "dexterity" else f"half are below {middle:.3g}"
+            where = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points"}
+            ax.annotate(text, (middle, 0.94), xytext=(gap, 0), ha=side, color=ACCENT, **where)
+        ax.set(xlabel=f"{words} {UNITS.get(name, '')}".rstrip(), ylabel="points" if spread else "volume [m³]")
+        if name == "dexterity":
+            ax.xaxis.set_major_formatter("{x:.0%}")
+        ax.set(xlim=(low, high), ylim=(0, 1.15 * max(*size, 1e-12)))
+        ax.grid(axis="y")
+        ax.set_axisbelow(True)
+        ax.spines[["top", "right"]].set_visible(False)
+        head(figure, reach.arm.name, f"{int(inside.sum()):,} positions reached within the joint limits.")
+    return finish(figure, path)
+
+
+def _parts(place: np.ndarray, inside: np.ndarray, bins: int):
+    return ((place == k) & inside for k in range(bins))

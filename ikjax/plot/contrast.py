@@ -1,0 +1,155 @@
+"""Two maps of the same positions: what one arm, or one mounting, reaches that the other does not.
+
+Storey: plot.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ikjax.plot.disc import head, label
+from ikjax.plot.planes import Plane, Slice, kept, plane_of, ticks_of, usual
+from ikjax.plot.points import facing, scatter
+from ikjax.plot.slices import draw_plane, span_of
+from ikjax.plot.stick import box
+from ikjax.plot.style import DIVERGING, INK, MAP, STYLE, finish, pyplot
+from ikjax.study.goals import Grid
+
+
+class Change(NamedTuple):
+    """Positions by what became of their dexterity."""
+
+    gained: int
+    """Not reached then, reached now."""
+    better: int
+    same: int
+    worse: int
+    lost: int
+    """Reached then, not reached now."""
+
+    def __str__(self) -> str:
+        return (
+            f"{self.gained:,} positions gained, {self.better:,} better, {self.same:,} the same, "
+            f"{self.worse:,} worse, {self.lost:,} lost"
+        )
+
+
+def change(then, now) -> Change:
+    """What became of each position that either map reaches within the joint limits.
+
+    Raises:
+        ValueError: Maps of other positions.
+    """
+    if then.grid != now.grid:
+        raise ValueError(
+            f"maps must have the same positions, got {then.grid.in_words()} and {now.grid.in_words()}"
+        )
+    a, b = np.asarray(then.dexterity), np.asarray(now.dexterity)
+    both = (a > 0) & (b > 0)
+    kinds = ((a == 0) & (b > 0), both & (b > a), both & (a == b), both & (b < a), (a > 0) & (b == 0))
+    return Change(*(int(kind.sum()) for kind in kinds))
+
+
+def comparison(then, now, path=None, slices: Sequence[Slice] | None = None):
+    """Two maps side by side, and where the second has more dexterity, or less, than the first.
+
+    Hatched is gained (dots) or lost (strokes) altogether, so that it shows in black and white too.
+
+    Args:
+        then, now: `ReachMap`s of the same positions.
+        path: Where to save the picture.
+        slices: Planes of a box grid, a row each; by default an upright one through the base and a level one.
+
+    Returns:
+        The figure.
+
+    Raises:
+        ImportError: Without matplotlib.
+        ValueError: Maps of other positions, slices of no box grid.
+    """
+    plt = pyplot()
+    what = change(then, now)
+    if not isinstance(then.grid, Grid) and slices is not None:
+        raise ValueError(f"slices are of a box grid, got {then.grid.in_words()}")
+    highest = max(float(np.max(reach.dexterity, initial=0)) for reach in (then, now))
+    top = max(0.1, np.ceil(10 * highest) / 10)
+    with plt.rc_context(STYLE):
+        draw = _in_slices if isinstance(then.grid, Grid) else _in_points
+        figure, sides, middle = draw(then, now, top, slices)
+        axes = list(figure.axes)
+        label(
+            figure, sides, "share of orientations reachable", [ax for k, ax in enumerate(axes) if k % 3 < 2]
+        )
+        label(figure, middle, "change of the share", axes[2::3])
+        note = "Dots: gained, strokes: lost." if isinstance(then.grid, Grid) else ""
+        names = f"{then.arm.name} and {now.arm.name}" if then.arm.name != now.arm.name else now.arm.name
+        head(figure, f"{names}, first and second map", f"{what}.   {note}")
+    return finish(figure, path)
+
+
+def _in_slices(then, now, top: float, slices) -> tuple[Any, Any, Any]:
+    chosen = [usual(now)[0], usual(now)[3]] if slices is None else slices
+    planes = [plane_of(now, piece) for piece in chosen]
+    spans = [span_of(reach, np.asarray(reach.arm.base, float)[None, :3, 3]) for reach in (then, now)]
+    span = np.stack([np.minimum(*spans)[:, 0], np.maximum(*spans)[:, 1]], axis=1)
+    figure, axes = pyplot().subplots(
+        len(planes), 3, figsize=(13, 0.8 + 3.6 * len(planes)), layout="constrained", squeeze=False
+    )
+    figure.get_layout_engine().set(rect=(0.005, 0.005, 0.99, 0.99 - 0.75 / figure.get_figheight()))
+    most = max(0.05, float(np.abs(now.dexterity - then.dexterity).max()))
+    for row, plane in zip(axes, planes, strict=True):
+        for ax, reach, name in zip(row, (then, now), ("first", "second"), strict=False):
+            sides = draw_plane(ax, reach, plane, span, top)
+            ax.set_title(f"{name}, {ax.get_title(loc='left')}", loc="left", fontweight="bold", color=INK)
+        middle = _draw_change(row[2], then, now, plane, span, most)
+    return figure, sides, middle
+
+
+def _draw_change(ax, then, now, plane: Plane, span: np.ndarray, most: float) -> Any:
+    across, up = kept(plane.axis)
+    ticks, half = ticks_of(now), now.grid.spacing / 2
+    frame = (ticks[across][0] - half, ticks[across][-1] + half, ticks[up][0] - half, ticks[up][-1] + half)
+    a, b = (np.asarray(reach.dexterity).take(plane.layer, plane.axis).T for reach in (then, now))
+    shown = np.ma.masked_where((a == 0) & (b == 0), b - a)
+    settings: dict[str, Any] = {"origin": "lower", "extent": frame, "interpolation": "nearest"}
+    image = ax.imshow(shown, cmap=DIVERGING, vmin=-most, vmax=most, **settings)
+    for part, hatch in (((a == 0) & (b > 0), "...."), ((a > 0) & (b == 0), "////")):
+        if part.any() and min(part.shape) > 1:
+            sheet = ax.contourf(
+                ticks[across], ticks[up], part.astype(float), [0.5, 1.5], hatches=[hatch], colors="none"
+            )
+            sheet.set_edgecolor("#444444")
+            sheet.set_linewidth(0)
+    ax.set(xlim=span[across], ylim=span[up], aspect="equal")
+    ax.set(xlabel=f"{'xyz'[across]} [m]", ylabel=f"{'xyz'[up]} [m]")
+    ax.set_title("second \N{MINUS SIGN} first", loc="left", fontweight="bold", color=INK)
+    ax.spines[["top", "right"]].set_visible(False)
+    return image
+
+
+def _in_points(then, now, top: float, _) -> tuple[Any, Any, Any]:
+    figure = pyplot().figure(figsize=(14, 5.2), layout="constrained")
+    figure.get_layout_engine().set(rect=(0.005, 0.0, 0.985, 0.86))
+    axes = [figure.add_subplot(1, 3, k + 1, projection="3d") for k in range(3)]
+    points = then.grid.points().reshape(-1, 3)
+    for ax, name in zip(axes, ("first", "second", "second \N{MINUS SIGN} first"), strict=True):
+        box(ax, points, 1.05)
+        ax.view_init(elev=24, azim=-52)
+        ax.set_title(name, fontweight="bold", color=INK, y=0.98)
+    for ax, reach in zip(axes, (then, now), strict=False):
+        sides = scatter(ax, reach, reach.dexterity, {"cmap": MAP, "vmin": 0, "vmax": top})
+    grown = now.dexterity - then.dexterity
+    most = max(0.05, float(np.abs(grown).max()))
+    size = float(np.clip(14000 / len(points), 2, 40))
+    ahead = facing(axes[2], now)
+    middle = axes[2].scatter(
+        *points[ahead].T,
+        s=size,
+        c=np.ravel(grown)[ahead],
+        cmap=DIVERGING,
+        vmin=-most,
+        vmax=most,
+        depthshade=False,
+    )
+    return figure, sides, middle

@@ -1,0 +1,140 @@
+"""A map on one page: HTML that needs nothing else, its pictures inside it.
+
+Storey: plot. No script, no font and no picture from elsewhere, so that a page that is kept or sent stays
+readable; what comes out of a map is escaped, since a map may come from anyone.
+"""
+
+import base64
+import html
+import io
+import json
+
+import numpy as np
+
+from ikjax.plot.bars import histogram
+from ikjax.plot.contrast import comparison
+from ikjax.plot.disc import globe
+from ikjax.plot.slices import reach_map
+from ikjax.plot.solid import nested
+from ikjax.plot.style import pyplot
+from ikjax.study import compare, layout, spec
+from ikjax.study.goals import Grid
+from ikjax.study.orientations import Cone, Even
+from ikjax.study.reach import ReachMap
+
+DPI = 110
+
+_HEAD = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
+<title>{title}</title>
+<style>
+body {{ font: 15px/1.5 system-ui, sans-serif; color: #1b1b1b }}
+body {{ max-width: 1240px; margin: 2em auto; padding: 0 1em }}
+pre {{ background: #f5f5f3; padding: .8em 1em; overflow-x: auto; font-size: 13px; line-height: 1.45 }}
+img {{ max-width: 100%; height: auto; display: block; margin: .5em 0 }}
+h2 {{ margin-top: 1.8em; font-size: 1.15em }}
+p {{ max-width: 75ch }}
+</style></head><body>
+"""
+
+
+def page(reach: ReachMap, then: ReachMap | None = None, name: str = "map.zarr") -> str:
+    """A map in words and pictures, and how to make it again; with an earlier map, compared with it.
+
+    Args:
+        reach: The map.
+        then: Another map to compare with; pictures are compared where the positions are the same.
+        name: Where the map lies, for the title and the commands.
+
+    Returns:
+        The HTML, whole.
+
+    Raises:
+        ImportError: Without matplotlib.
+    """
+    plt = pyplot()
+    arm = reach.arm
+    parts = [_HEAD.format(title=html.escape(f"{arm.name}: {name}"))]
+    parts.append(f"<h1>{html.escape(arm.name)}</h1>\n{_text(reach.summary())}")
+
+    def show(title: str, words: str, figure) -> None:
+        parts.append(f"<h2>{title}</h2>\n<p>{words}</p>\n{_picture(figure)}")
+        plt.close(figure)
+
+    if then is not None:
+        parts.append(
+            f"<h2>Compared</h2>\n{_text(compare.in_words(compare.compare(then, reach), 'the first map'))}"
+        )
+    if then is not None and then.grid == reach.grid and _counted(then) and _counted(reach):
+        words = "Orange has lost and purple has gained; dots: newly reached, strokes: no longer reached."
+        show("Second against first", words, comparison(then, reach))
+    if _counted(reach):
+        words = "Share of orientations reached. Grey: beyond the joint limits alone. White: out of reach."
+        show("Dexterity", words, reach_map(reach))
+    if _counted(reach) and isinstance(reach.grid, Grid) and min(reach.grid.shape) > 1:
+        words = "Each solid is where at least so large a share of the orientations is reached."
+        show("Nested solids", words, nested(reach))
+    if _counted(reach):
+        show("How it is spread", "By volume, or by points on a surface.", histogram(reach))
+    places = _places(reach) if _counted(reach) and arm.task == "pose" and arm.family else np.empty((0, 3))
+    if len(places):
+        words = (
+            "Directions of the tool's z axis as discs of equal area, both seen from above: at the "
+            "position of most dexterity, at a middling one, and at the poorest."
+        )
+        show("Which ways the tool can point", words, globe(arm, places))
+    parts.append(f"<h2>The arm</h2>\n{_text(str(arm))}")
+    parts.append(f"<h2>How to repeat it</h2>\n{_text(repeat(reach, name))}")
+    study = _study(reach)
+    parts.append(
+        f"<h2>Spec</h2>\n<p>Fingerprint {spec.fingerprint(study)}. All that the numbers depend on:</p>\n"
+        f"<details><summary>JSON</summary>{_text(json.dumps(study, indent=1))}</details>\n</body></html>\n"
+    )
+    return "\n".join(parts)
+
+
+def repeat(reach: ReachMap, name: str) -> str:
+    """Commands that make a map again."""
+    few = isinstance(reach.directions, Even | Cone)
+    which = repr(reach.directions) if few else f"{reach.orientations:,} rotations"
+    return f"""\
+# in Python: the same arm, positions and orientations ({which})
+import ikjax
+old = ikjax.ReachMap.load({name!r})
+new = ikjax.sweep(old.arm, old.grid, old.directions, rolls={reach.rolls}, dtype={reach.dtype!r},
+                  statistics={list(reach.told)!r}, out="again.zarr")
+assert all((new.to_numpy()[k] == v).all() for k, v in old.to_numpy().items())
+
+# in a shell: this page again, and what changed
+ikjax show {name}
+ikjax show {name} again.zarr"""
+
+
+def _counted(reach: ReachMap) -> bool:
+    """Whether the map has what pictures of dexterity are made of."""
+    return {"reachable", "reachable_within"} <= reach.arrays.keys()
+
+
+def _places(reach: ReachMap) -> np.ndarray:
+    """Positions of most, median and least dexterity of those that are reached, (k, 3)."""
+    share = np.ravel(reach.dexterity)
+    order = np.argsort(share, kind="stable")[int((share == 0).sum()) :]
+    chosen = [order[-1], order[len(order) // 2], order[0]] if len(order) else []
+    return reach.grid.points().reshape(-1, 3)[list(dict.fromkeys(chosen))]
+
+
+def _study(reach: ReachMap) -> dict:
+    fixed = layout.fixed(reach.grid, reach.directions)
+    parts = (reach.arm, reach.grid, reach.directions, reach.rolls, reach.dtype)
+    return spec.of_study(*parts, reach.told, fixed)
+
+
+def _text(words: str) -> str:
+    return f"<pre>{html.escape(words)}</pre>"
+
+
+def _picture(figure) -> str:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=DPI)
+    data = base64.b64encode(buffer.getvalue()).decode()
+    return f'<img alt="" src="data:image/png;base64,{data}">'

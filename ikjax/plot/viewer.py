@@ -1,0 +1,194 @@
+"""A map in the browser: a slice that moves through it, and every branch of a goal that is dragged.
+
+Storey: plot. Needs viser (`pip install ikjax[viz3d]`). The server listens on 127.0.0.1 alone: nobody else on
+the network can see or steer it; from another machine, use `ssh -L 8080:127.0.0.1:8080`.
+"""
+
+import dataclasses
+import threading
+import time
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from ikjax.arm.arm import Arm
+from ikjax.arm.forward import fk, frames
+from ikjax.core.pose import pose, to_quaternion
+from ikjax.ik.select import within_limits
+from ikjax.ik.solve import solve
+from ikjax.plot.planes import Plane, kept, plane_of, posture, ticks_of
+from ikjax.plot.stick import sticks_of
+from ikjax.plot.style import COLOURS, MAP
+from ikjax.study.goals import Grid
+
+HOST = "127.0.0.1"
+OUTSIDE = (150, 150, 150)
+"""Colour of branches that are outside the joint limits."""
+
+
+class Skeleton(NamedTuple):
+    """A branch to draw."""
+
+    slot: int
+    lines: np.ndarray
+    """(m, 2, 3) links in the world [m]."""
+    within: bool
+    """Within the joint limits."""
+
+
+@jax.jit
+def _branches(arm: Arm, goal):
+    sol = solve(arm, goal)
+    inside = within_limits(arm, sol)
+    return sol.valid, inside.valid, frames(arm, inside.q), fk(arm, inside.q)
+
+
+def skeletons(arm: Arm, goal) -> list[Skeleton]:
+    """Every valid branch of a goal T_world_tool, (4, 4)."""
+    valid, within, stations, tips = map(np.asarray, _branches(arm, goal))
+    found = []
+    for slot in np.flatnonzero(valid):
+        line = sticks_of(arm, np.asarray(stations[slot], float), np.asarray(tips[slot], float)).line
+        found.append(Skeleton(int(slot), np.stack([line[:-1], line[1:]], axis=1), bool(within[slot])))
+    return found
+
+
+def slice_image(reach, plane: Plane) -> np.ndarray:
+    """A layer as colours (rows, columns, 3) uint8, its first row on top."""
+    from matplotlib import colormaps
+
+    share = np.asarray(reach.dexterity).take(plane.layer, plane.axis).T[::-1]
+    anyhow = np.asarray(reach.reachable).take(plane.layer, plane.axis).T[::-1] > 0
+    colours = colormaps[MAP](share / max(float(np.max(reach.dexterity)), 1e-9))[..., :3]
+    colours[share == 0] = 1.0
+    colours[(share == 0) & anyhow] = 0.89
+    return (255 * colours).round().astype(np.uint8)
+
+
+def quaternion(rotation: np.ndarray) -> np.ndarray:
+    """wxyz of a rotation (3, 3)."""
+    return np.asarray([float(c) for c in to_quaternion(tuple(map(tuple, rotation)))])
+
+
+def stand(axis: int) -> np.ndarray:
+    """How an image of a layer stands, (3, 3): viser's runs along its x and down its y."""
+    across, up = kept(axis)
+    right, down = np.eye(3)[across], -np.eye(3)[up]
+    return np.stack([right, down, np.cross(right, down)], axis=1)
+
+
+class Viewer:
+    """A server with one map of a box grid.
+
+    Args:
+        reach: A `ReachMap`.
+        port: Where the browser finds it; another where that one is taken.
+        server: A viser server to draw on; a new one on 127.0.0.1 by default.
+
+    Raises:
+        ImportError: Without viser or matplotlib.
+        ValueError: A map of no box grid, an arm of no family.
+    """
+
+    def __init__(self, reach, port: int = 8080, server: Any = None):
+        if not isinstance(reach.grid, Grid):
+            raise ValueError(f"the viewer shows box grids, got {reach.grid.in_words()}")
+        if reach.arm.family is None:
+            raise ValueError(f"the viewer needs an arm with a closed form, {reach.arm.name} has none")
+        # Read once: a slice is drawn at every move of the slider.
+        self.reach = dataclasses.replace(reach, arrays=reach.to_numpy())
+        self.arm = reach.arm
+        self._lock = threading.Lock()
+        self.server = _server(port) if server is None else server
+        scene, gui = self.server.scene, self.server.gui
+        base = np.asarray(self.arm.base, float)[:3, 3]
+        self.size = float(max(np.ptp(tick) for tick in ticks_of(reach)) or 1.0)
+        scene.set_up_direction("+z")
+        scene.add_grid("/floor", 2 * self.size, 2 * self.size, plane="xy", cell_size=0.1, section_size=0.5)
+        scene.add_frame("/base", axes_length=0.08 * self.size, axes_radius=0.004 * self.size, position=base)
+        gui.add_markdown(f"**{self.arm.name}**\n\n```\n{reach.summary()}\n```")
+        self.axis = gui.add_dropdown("Slice square to", ("x", "y", "z"), initial_value="y")
+        self.layer = gui.add_slider("Where along it", 0.0, 1.0, 0.001, 0.5)
+        self.limited = gui.add_checkbox("Within joint limits only", False)
+        self.said = gui.add_markdown("")
+        start = np.asarray(posture(reach, plane_of(reach, ("y", base[1]))), float)
+        self.goal = self._gizmo(start)
+        for handle in (self.axis, self.layer):
+            handle.on_update(lambda _: self.draw_slice())
+        self.limited.on_update(lambda _: self.draw_branches())
+        self.goal.on_update(lambda _: self.draw_branches())
+        self.draw_slice()
+        self.draw_branches()
+
+    def _gizmo(self, q: np.ndarray) -> Any:
+        tool = np.asarray(fk(self.arm, q), float)
+        return self.server.scene.add_transform_controls(
+            "/goal", 0.22 * self.size, wxyz=quaternion(tool[:3, :3]), position=tool[:3, 3]
+        )
+
+    def draw_slice(self) -> None:
+        """Put the slice where the slider says."""
+        axis = "xyz".index(self.axis.value)
+        ticks, half = ticks_of(self.reach), self.reach.grid.spacing / 2
+        at = ticks[axis][0] + float(self.layer.value) * (ticks[axis][-1] - ticks[axis][0])
+        plane = plane_of(self.reach, (self.axis.value, at))
+        across, up = kept(axis)
+        centre = np.array([(tick[0] + tick[-1]) / 2 for tick in ticks])
+        centre[axis] = plane.at
+        width, height = (float(ticks[k][-1] - ticks[k][0] + 2 * half) for k in (across, up))
+        with self._lock:
+            self.server.scene.add_image(
+                "/slice",
+                np.ascontiguousarray(slice_image(self.reach, plane)),
+                width,
+                height,
+                wxyz=quaternion(stand(axis)),
+                position=centre,
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+
+    def draw_branches(self) -> None:
+        """Solve the goal under the gizmo and put every branch that reaches it into the scene."""
+        goal = pose(self.goal.position, wxyz=self.goal.wxyz, dtype=self.arm.dtype)
+        with self._lock:
+            found = {skeleton.slot: skeleton for skeleton in skeletons(self.arm, goal)}
+            within = sum(skeleton.within for skeleton in found.values())
+            for slot in range(len(self.arm.branches)):
+                name, skeleton = f"/branches/{slot}", found.get(slot)
+                if skeleton is None or (self.limited.value and not skeleton.within):
+                    self.server.scene.remove_by_name(name)
+                    continue
+                colour = _rgb(COLOURS[slot % len(COLOURS)]) if skeleton.within else OUTSIDE
+                self.server.scene.add_line_segments(
+                    name, skeleton.lines.astype(np.float32), colour, thickness=0.008 * self.size
+                )
+            names = "\n".join(
+                f"- {self.arm.branches[k]}{'' if each.within else ' (outside the limits)'}"
+                for k, each in found.items()
+            )
+            total = len(self.arm.branches)
+            self.said.content = f"**{len(found)} of {total} branches, {within} within limits**\n\n{names}"
+
+    def run(self) -> None:
+        """Serve until Ctrl-C."""
+        print(f"the map is at http://{HOST}:{self.server.get_port()}, for this machine only; Ctrl-C ends it")
+        try:
+            while True:
+                time.sleep(3600)
+        except KeyboardInterrupt:
+            self.server.stop()
+
+
+def _server(port: int) -> Any:
+    try:
+        import viser
+    except ImportError as error:
+        raise ImportError("the viewer needs viser: pip install 'ikjax[viz3d]'") from error
+    return viser.ViserServer(host=HOST, port=port, verbose=False)
+
+
+def _rgb(colour: str) -> tuple[int, int, int]:
+    red, green, blue = (int(colour[k : k + 2], 16) for k in (1, 3, 5))
+    return red, green, blue
