@@ -161,11 +161,13 @@ def test_something_else_at_out_is_left_alone_before_anything_is_swept(run, tmp_p
     assert (tmp_path / "letter").read_text() == "dear"
 
 
-def test_a_stored_map_shows_what_the_sweep_said(run, swept):
+def test_a_stored_map_shows_what_the_sweep_said(run, swept, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     path, said = swept
     code, out, _ = run("show", path, "--json")
     assert said.pop("units") == {"total": 1, "kept": 0, "missing": 1, "damaged": 0}
     assert code == 0 and json.loads(out) == said
+    assert not list(tmp_path.glob("*.html"))
     assert run("show", path)[1].startswith("gx4_351s: ")
 
 
@@ -187,6 +189,26 @@ def test_a_stored_map_becomes_a_picture(run, swept, tmp_path):
     code, _, err = run("show", swept[0], "--picture", picture)
     assert code == 0, err
     assert picture.stat().st_size > 10_000
+
+
+def test_a_map_has_a_page_and_two_maps_are_compared(run, swept, tmp_path, monkeypatch):
+    pytest.importorskip("matplotlib")
+    monkeypatch.chdir(tmp_path)
+    code, out, err = run("show", swept[0], swept[0])
+    assert code == 0, err
+    assert "positions that differ      0" in out and "page              a.html" in out
+    text = (tmp_path / "a.html").read_text()
+    assert "Compared" in text and "0 better" not in text  # the counts are in the picture
+    assert (tmp_path / "a.png").stat().st_size > 10_000
+
+
+def test_without_matplotlib_a_map_still_has_its_summary(run, swept, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)
+    code, out, err = run("show", swept[0])
+    assert code == 0 and out.startswith("gx4_351s: ") and "pip install ikjax[viz]" in err
+    assert run("show", swept[0], "--page", "b.html")[0] == 2
 
 
 def test_doctor_finds_this_device_well(run):

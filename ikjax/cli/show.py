@@ -25,11 +25,12 @@ def run_show(options) -> int:
             raise ValueError("--viewer shows one map")
         Viewer(maps[0], port=options.port).run()
         return 0
-    if options.page is None and not (options.picture or options.json):
+    asked = bool(options.page)
+    if not (asked or options.picture or options.json):
         stem = _stem(options.other or options.map)
         options.page, options.picture = f"{stem}.html", f"{stem}.png"
     then = maps[0] if options.other else None
-    return report(options, maps[-1], then, options.map, options.page)
+    return report(options, maps[-1], then, options.map, options.page, asked)
 
 
 def _stem(name: str) -> str:
@@ -60,6 +61,7 @@ def report(
     earlier: ikjax.ReachMap | None = None,
     earlier_name: str | None = None,
     page: str | None = None,
+    asked: bool = True,
 ) -> int:
     text = reach.summary()
     data: dict[str, Any] = {"arm": reach.arm.name, **reach.numbers()}
@@ -67,7 +69,12 @@ def report(
         text += f"\n  map               {options.out}: {reach.units}"
         data["units"] = reach.units._asdict()
     if options.picture or page:
-        text += _drawn(options, reach, earlier, page)
+        try:
+            text += _drawn(options, reach, earlier, page)
+        except ImportError as error:
+            if asked:
+                raise
+            complain(error)  # what is shown unasked may be left out
     if earlier is not None:
         data["compared"] = compare.compare(earlier, reach)
         text += f"\n{compare.in_words(data['compared'], str(earlier_name))}"
@@ -77,25 +84,19 @@ def report(
 
 def _drawn(options, reach: ikjax.ReachMap, earlier: ikjax.ReachMap | None, page: str | None) -> str:
     """Write what was asked for and say where it is."""
+    from ikjax import plot
+
     text = ""
-    try:
-        if options.picture:
-            from ikjax import plot
+    if options.picture:
+        if page and earlier is not None and earlier.grid == reach.grid:
+            plot.comparison(earlier, reach, options.picture)
+        else:
+            plot.reach_map(reach, options.picture)
+        text += f"\n  picture           {options.picture}"
+    if page:
+        from ikjax.plot.page import page as html_of
 
-            alike = earlier is not None and earlier.grid == reach.grid and page is not None
-            if alike:
-                plot.comparison(earlier, reach, options.picture)
-            else:
-                plot.reach_map(reach, options.picture)
-            text += f"\n  picture           {options.picture}"
-        if page:
-            from ikjax.plot.page import page as html_of
-
-            name = options.other or options.map
-            pathlib.Path(page).write_text(html_of(reach, earlier, name), encoding="utf-8")
-            text += f"\n  page              {page}"
-    except ImportError as error:
-        if page is None:
-            raise
-        complain(error)  # the summary is worth printing without pictures
+        html = html_of(reach, earlier, options.other or options.map)
+        pathlib.Path(page).write_text(html, encoding="utf-8")
+        text += f"\n  page              {page}"
     return text

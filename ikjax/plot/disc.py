@@ -156,5 +156,5 @@ def head(figure, name: str, said: str) -> None:
     left = {"x": 0.012, "ha": "left", "va": "top"}
     figure.suptitle(name, y=0.985, fontsize=15, fontweight="bold", parse_math=False, **left)
     # Nine points are about thirteen letters an inch.
-    said = "\n".join(textwrap.wrap(said, int(13 * figure.get_figwidth())))
+    said = "\n".join(textwrap.wrap(said, int(14 * figure.get_figwidth())))
     figure.text(y=0.985 - 0.36 / figure.get_figheight(), s=said, fontsize=9, color="#444444", **left)

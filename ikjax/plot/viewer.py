@@ -55,14 +55,14 @@ def skeletons(arm: Arm, goal) -> list[Skeleton]:
 
 
 def slice_image(reach, plane: Plane) -> np.ndarray:
-    """A layer as colours (rows, columns, 3) uint8, its first row on top."""
+    """A layer as colours (rows, columns, 4) uint8, its first row on top; clear where nothing is reached."""
     from matplotlib import colormaps
 
     share = np.asarray(reach.dexterity).take(plane.layer, plane.axis).T[::-1]
     anyhow = np.asarray(reach.reachable).take(plane.layer, plane.axis).T[::-1] > 0
-    colours = colormaps[MAP](share / max(float(np.max(reach.dexterity)), 1e-9))[..., :3]
-    colours[share == 0] = 1.0
-    colours[(share == 0) & anyhow] = 0.89
+    colours = colormaps[MAP](share / max(float(np.max(reach.dexterity)), 1e-9))
+    colours[share == 0] = (0, 0, 0, 0)
+    colours[(share == 0) & anyhow] = (0.7, 0.7, 0.7, 0.5)
     return (255 * colours).round().astype(np.uint8)
 
 
@@ -105,9 +105,14 @@ class Viewer:
         base = np.asarray(self.arm.base, float)[:3, 3]
         self.size = float(max(np.ptp(tick) for tick in ticks_of(reach)) or 1.0)
         scene.set_up_direction("+z")
-        scene.add_grid("/floor", 2 * self.size, 2 * self.size, plane="xy", cell_size=0.1, section_size=0.5)
+        floor = np.array([base[0], base[1], ticks_of(reach)[2][0]])
+        scene.add_grid("/floor", self.size, self.size, cell_size=0.1, section_size=0.5, position=floor)
+        camera = self.server.initial_camera
+        camera.position, camera.look_at = base + self.size * np.array([0.55, -1.05, 0.45]), base
         scene.add_frame("/base", axes_length=0.08 * self.size, axes_radius=0.004 * self.size, position=base)
-        gui.add_markdown(f"**{self.arm.name}**\n\n```\n{reach.summary()}\n```")
+        gui.add_markdown(
+            f"**{self.arm.name}**: {reach.grid.in_words()} x {reach.orientations:,} orientations"
+        )
         self.axis = gui.add_dropdown("Slice square to", ("x", "y", "z"), initial_value="y")
         self.layer = gui.add_slider("Where along it", 0.0, 1.0, 0.001, 0.5)
         self.limited = gui.add_checkbox("Within joint limits only", False)
@@ -147,6 +152,7 @@ class Viewer:
                 position=centre,
                 cast_shadow=False,
                 receive_shadow=False,
+                format="png",
             )
 
     def draw_branches(self) -> None:
@@ -162,7 +168,7 @@ class Viewer:
                     continue
                 colour = _rgb(COLOURS[slot % len(COLOURS)]) if skeleton.within else OUTSIDE
                 self.server.scene.add_line_segments(
-                    name, skeleton.lines.astype(np.float32), colour, thickness=0.008 * self.size
+                    name, skeleton.lines.astype(np.float32), colour, thickness=0.006 * self.size
                 )
             names = "\n".join(
                 f"- {self.arm.branches[k]}{'' if each.within else ' (outside the limits)'}"

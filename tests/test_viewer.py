@@ -1,0 +1,133 @@
+"""The viewer's scene follows its handles, and nobody else on the network can reach it."""
+
+import numpy as np
+import pytest
+
+import ikjax
+
+pytest.importorskip("matplotlib")
+viewer = pytest.importorskip("ikjax.plot.viewer")
+
+
+@pytest.fixture(scope="module")
+def reach():
+    arm = ikjax.robots.puma560()
+    return ikjax.sweep(arm, ikjax.around(arm, 0.2), 16)
+
+
+class Handle:
+    """A stand-in for what viser gives back: values, and who wants to know of them."""
+
+    def __init__(self, **values):
+        self.__dict__.update(values)
+        self.heard = []
+
+    def on_update(self, call):
+        self.heard.append(call)
+
+    def set(self, **values):
+        self.__dict__.update(values)
+        for call in self.heard:
+            call(None)
+
+
+class Server:
+    """A stand-in for a viser server; its scene and its panel are itself."""
+
+    def __init__(self):
+        self.scene = self.gui = self
+        self.initial_camera = Handle()
+        self.lines, self.slice = {}, None
+
+    def add_line_segments(self, name, points, colors, **_):
+        self.lines[name] = (points, colors)
+
+    def add_image(self, name, image, width, height, *, wxyz, position, **_):
+        self.slice = (image, width, height, np.array(wxyz), np.array(position))
+
+    def remove_by_name(self, name):
+        self.lines.pop(name, None)
+
+    def add_dropdown(self, _, options, initial_value):
+        return Handle(value=initial_value)
+
+    def add_slider(self, _, low, high, step, initial):
+        return Handle(value=initial)
+
+    def add_checkbox(self, _, initial):
+        return Handle(value=initial)
+
+    def add_markdown(self, content):
+        return Handle(content=content)
+
+    def add_transform_controls(self, name, size, *, wxyz, position):
+        return Handle(wxyz=wxyz, position=position)
+
+    def set_up_direction(self, _): ...
+
+    def add_grid(self, *_, **__): ...
+
+    def add_frame(self, *_, **__): ...
+
+
+def test_every_valid_branch_of_the_goal_is_drawn_and_ends_there(reach):
+    server = Server()
+    shown = viewer.Viewer(reach, server=server)
+    for xyz, q in (((0.4, 0.2, 0.3), (1, 0, 0, 0)), ((0.5, -0.1, 0.2), (0, 1, 0, 0))):
+        shown.goal.set(position=np.array(xyz), wxyz=np.array(q, float))
+        sol = ikjax.solve(reach.arm, ikjax.pose(xyz, wxyz=q))
+        assert {int(name.split("/")[-1]) for name in server.lines} == set(np.flatnonzero(sol.valid))
+        assert server.lines
+        for lines, _ in server.lines.values():
+            np.testing.assert_allclose(lines[-1, 1], xyz, atol=1e-5)
+            np.testing.assert_array_equal(lines[1:, 0], lines[:-1, 1])
+    within = int(np.sum(ikjax.within_limits(reach.arm, sol).valid))
+    assert f"{int(sol.valid.sum())} of 8 branches, {within} within limits" in shown.said.content
+    shown.limited.set(value=True)
+    assert len(server.lines) == within
+    shown.goal.set(position=np.array([9.0, 0, 0]))
+    assert not server.lines
+
+
+def test_the_slice_lies_where_the_slider_is_and_stands_as_the_grid_does(reach):
+    server = Server()
+    shown = viewer.Viewer(reach, server=server)
+    for axis, share in (("x", 0.0), ("y", 0.5), ("z", 1.0)):
+        shown.axis.set(value=axis)
+        shown.layer.set(value=share)
+        image, width, height, wxyz, position = server.slice
+        k = "xyz".index(axis)
+        ticks = reach.grid.axis(k)
+        assert position[k] == ticks[round(share * (len(ticks) - 1))]
+        turn = np.asarray(ikjax.pose(wxyz=wxyz))[:3, :3]
+        across, up = (j for j in range(3) if j != k)
+        np.testing.assert_allclose(turn[:, 0], np.eye(3)[across], atol=1e-12)
+        np.testing.assert_allclose(turn[:, 1], -np.eye(3)[up], atol=1e-12)  # down, as images run
+        assert image.shape == (reach.grid.shape[up], reach.grid.shape[across], 4)
+        np.testing.assert_allclose([width, height], [reach.grid.spacing * image.shape[j] for j in (1, 0)])
+    # The lowest row of the image is the first along z.
+    shown.axis.set(value="y")
+    image = server.slice[0]
+    layer = plane_index(reach, shown)
+    for row in range(reach.grid.shape[2]):
+        empty = np.asarray(reach.reachable)[:, layer, row] == 0
+        np.testing.assert_array_equal(image[-1 - row, :, 3] == 0, empty)
+
+
+def plane_index(reach, shown) -> int:
+    return round(shown.layer.value * (reach.grid.shape[1] - 1))
+
+
+def test_what_is_no_box_grid_is_refused(reach):
+    shell = ikjax.sweep(reach.arm, ikjax.shell((0, 0, 0), 0.5, 9), 16)
+    with pytest.raises(ValueError, match="shows box grids"):
+        viewer.Viewer(shell, server=Server())
+
+
+def test_the_server_listens_on_this_machine_alone(reach):
+    pytest.importorskip("viser")
+    shown = viewer.Viewer(reach, port=8765)
+    try:
+        assert shown.server.get_host() == "127.0.0.1"
+    finally:
+        shown.server.stop()
