@@ -1,5 +1,7 @@
 """The viewer's scene follows its handles, and nobody else on the network can reach it."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -75,7 +77,7 @@ def test_every_valid_branch_of_the_goal_is_drawn_and_ends_there(reach):
     shown = viewer.Viewer(reach, server=server)
     for xyz, q in (((0.4, 0.2, 0.3), (1, 0, 0, 0)), ((0.5, -0.1, 0.2), (0, 1, 0, 0))):
         shown.goal.set(position=np.array(xyz), wxyz=np.array(q, float))
-        sol = ikjax.solve(reach.arm, ikjax.pose(xyz, wxyz=q))
+        sol = ikjax.solve(reach.arm, ikjax.pose(xyz, wxyz=np.array(q, float)))
         assert {int(name.split("/")[-1]) for name in server.lines} == set(np.flatnonzero(sol.valid))
         assert server.lines
         for lines, _ in server.lines.values():
@@ -119,7 +121,7 @@ def plane_index(reach, shown) -> int:
 
 
 def test_what_is_no_box_grid_is_refused(reach):
-    shell = ikjax.sweep(reach.arm, ikjax.shell((0, 0, 0), 0.5, 9), 16)
+    shell = dataclasses.replace(reach, grid=ikjax.shell((0, 0, 0), 0.5, 9))
     with pytest.raises(ValueError, match="shows box grids"):
         viewer.Viewer(shell, server=Server())
 

@@ -167,9 +167,10 @@ class Viewer:
                     self.server.scene.remove_by_name(name)
                     continue
                 colour = _rgb(COLOURS[slot % len(COLOURS)]) if skeleton.within else OUTSIDE
-                self.server.scene.add_line_segments(
-                    name, skeleton.lines.astype(np.float32), colour, thickness=0.006 * self.size
-                )
+                # Branches that differ in the wrist alone lie in one place: those within the limits show.
+                thick = (0.006 if skeleton.within else 0.003) * self.size
+                lines = skeleton.lines.astype(np.float32)
+                self.server.scene.add_line_segments(name, lines, colour, thickness=thick)
             names = "\n".join(
                 f"- {self.arm.branches[k]}{'' if each.within else ' (outside the limits)'}"
                 for k, each in found.items()
