@@ -133,6 +133,7 @@ def test_goals_that_the_arm_reaches_are_reached():
     assert np.quantile(off, 0.99) < 1e-7
 
 
+@pytest.mark.slow
 def test_slopes_of_every_branch_are_those_of_differences_and_zero_where_there_is_no_goal():
     goals = jnp.asarray(np.concatenate([wild(L3, 8), np.full((1, 4, 4), np.nan)]))
     x, y, z = 0.7, -0.4, 0.5

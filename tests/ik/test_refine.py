@@ -160,7 +160,7 @@ def test_a_wrong_argument_is_named(call, text):
         call()
 
 
-@pytest.mark.parametrize("name", ["planar_prr", "planar_3r"])
+@pytest.mark.parametrize("name", ["planar_prr", pytest.param("planar_3r", marks=pytest.mark.slow)])
 def test_an_arm_that_moves_in_a_plane_is_asked_for_what_lies_in_its_own(name):
     """Of a PRR, whose slide runs along the base's z, that is not the plane of the base's x and y."""
     arm = ikjax.robots.get(name)
