@@ -77,6 +77,11 @@ class Place:
         with self.storing(prefix):
             (self._inside / prefix).delete_range(tensorstore().KvStore.KeyRange()).result()
 
+    def remove(self, key: str) -> None:
+        """One value."""
+        with self.storing(key):
+            self._inside.write(key, None).result()
+
     def array(self, name: str, metadata: dict) -> Any:
         """A tensorstore array of stated metadata; what its own zarr.json says is not asked."""
         spec = {

@@ -127,6 +127,16 @@ def test_damage_anywhere_is_found_and_mended(how, copy, whole, memory, rng):
         assert_whole(copy, whole, memory)
 
 
+@pytest.mark.parametrize("how", ["flip", "cut"])
+def test_a_damaged_chunk_at_the_end_of_an_axis_is_mended(how, memory, tmp_path, rng):
+    out = tmp_path / "map.zarr"
+    small.swept(out, chunk=(5, 5, 2))
+    for name in ("c/1/1/0", "c/0/1/0"):
+        damage(out / "reachable" / name, how, rng)
+    assert small.swept(out, chunk=(5, 5, 2), resume=True).units == (4, 2, 0, 2)
+    assert small.bits(ikjax.ReachMap.load(out)) == memory
+
+
 def test_an_unfinished_map_says_so_and_is_not_swept_over(copy, whole, memory):
     shutil.rmtree(copy / "solutions" / "c" / "0")
     with pytest.raises(ValueError, match=r"unfinished: 4 of 8 units are missing; go on .*--resume"):
