@@ -130,11 +130,11 @@ def _draw_change(ax, then, now, plane: Plane, span: np.ndarray, most: float) -> 
 
 def _in_points(then, now, top: float, _) -> tuple[Any, Any, Any]:
     figure = pyplot().figure(figsize=(14, 5.2), layout="constrained")
-    figure.get_layout_engine().set(rect=(0.005, 0.0, 0.985, 0.86))
+    figure.get_layout_engine().set(rect=(0.005, 0.0, 0.985, 0.86), w_pad=0.14)
     axes = [figure.add_subplot(1, 3, k + 1, projection="3d") for k in range(3)]
     points = then.grid.points().reshape(-1, 3)
     for ax, name in zip(axes, ("first", "second", "second \N{MINUS SIGN} first"), strict=True):
-        box(ax, points, 1.05)
+        box(ax, points)
         ax.view_init(elev=24, azim=-52)
         ax.set_title(name, fontweight="bold", color=INK, y=0.98)
     for ax, reach in zip(axes, (then, now), strict=False):

@@ -16,7 +16,7 @@ from ikjax.plot.stick import box, draw_3d, sticks
 from ikjax.plot.style import INK, MAP, STYLE, finish, pyplot
 from ikjax.study.goals import Grid
 
-MOST_CELLS = 36
+MOST_CELLS = 44
 """Along an axis of a picture; a finer map is thinned."""
 
 LIGHT = np.array([0.35, -0.6, 0.75]) / np.linalg.norm([0.35, -0.6, 0.75])
