@@ -353,8 +353,13 @@ def test_slopes_of_many_arms_are_those_of_differences_and_of_the_jacobian(name):
         rates["theta" if kind == "R" else "d"][:, i] = rng.normal(size=count)
     for key in ("base", "tool", "goal"):
         rates[key] = np.stack([in_plane(arm, rng.normal(size=6)) for _ in range(count)])
+    if arm.task.startswith("planar") or arm.family == "scara":
+        rates["tool"][:, 3:5] = 0  # turns about the last axis, as the arm does
+        rates["tool"][:, 2] *= arm.family == "scara"
     if arm.task in ("position", "planar_position"):
         rates["tool"][:] = 0  # turns the goal's free orientation
+    if arm.family == "turret":
+        rates = {key: rate * (key in ("a", "d", "theta")) for key, rate in rates.items()}
     # Other arms of the family: only what may move has moved.
     several = {key: np.asarray(getattr(arm, key)) + 0.03 * rates[key] for key in ("a", "alpha", "d", "theta")}
     stack = jax.vmap(lambda leaves: dataclasses.replace(arm, **leaves))(several)
@@ -394,7 +399,10 @@ def test_slopes_of_many_arms_are_those_of_differences_and_of_the_jacobian(name):
 
         rough = [(8 * (at(t) - at(-t)) - (at(2 * t) - at(-2 * t))) / (12 * t[:, None, None]) for t in steps]
         off = np.min([np.abs(slope - r).max(-1) / (1 + np.abs(r).max(-1)) for r in rough], axis=0)
-        assert off[asked].max() < 1e-6, (key, off[asked].max())
+        # Two slots of a quartic may change names: then both jump.
+        same = asked & (np.abs(at(2 * steps[-1])).max(-1) < 0.1)
+        assert same.sum() > 0.98 * asked.sum()
+        assert off[same].max() < 1e-6, (key, off[same].max())
         if key == "goal" and arm.task == "pose" and arm.n == 6:
             exact = np.linalg.solve(J[asked], np.repeat(rates[key], asked.sum(-1), axis=0)[..., None])[..., 0]
             np.testing.assert_allclose(slope[asked], exact, rtol=1e-6, atol=1e-6 * np.abs(exact).max())
