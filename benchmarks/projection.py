@@ -1,8 +1,9 @@
-"""The nearest attainable pose: `python benchmarks/projection.py [ARM ...] [--goals N]`.
+"""The nearest attainable pose: `python benchmarks/projection.py [ARM ...] [--goals N] [--general N]`.
 
 For each arm: rates of the closed form alone and of the refined projection with every branch; the share of
 goals whose slope is zero; and the cost against the best of 64 bounded least squares of scipy from random
-joints.
+joints. `--general N` does so for N random arms of five joints and no family, and for the best of 64 starts of
+our own at random.
 """
 
 import argparse
@@ -63,6 +64,31 @@ def best_of_starts(table: Table, goal: np.ndarray, starts: int, rng) -> float:
     return min(costs)
 
 
+def general(count: int, goals: int = 64, rivals: int = 2) -> None:
+    """Random arms, of which nothing is known."""
+    worse, theirs_worse, beaten = [], [], []
+    for seed in range(count):
+        rng = np.random.default_rng(seed)
+        a, d = rng.uniform(0.02, 0.4, (2, 5))
+        arm = ikjax.Arm.from_dh(a=a, alpha=rng.uniform(-1.6, 1.6, 5), d=d, convention="standard")
+        batch = goals_of(arm, goals, seed)
+        near = ikjax.project(arm, batch, LENGTH)
+        own = ikjax.refine(arm, batch, rng.uniform(-np.pi, np.pi, (goals, 64, 5)), LENGTH)
+        share = np.array(near.cost) / np.array(own.cost) - 1
+        # What both reach is zero but for its rounding.
+        share = np.where(np.maximum(near.cost, own.cost) < 1e-20, 0, share)
+        worse.append(np.mean(share > 1e-8))
+        theirs_worse.append(np.mean(share < -1e-8))
+        table = Table(arm)
+        beaten += [
+            near.cost[k] > best_of_starts(table, batch[k], 16, rng) * (1 + 1e-8) for k in range(rivals)
+        ]
+    print(f"{count} random 5R arms, {goals} goals each, float64, against 64 random starts of our own:")
+    print(f"  ours worse by 1e-8: {np.mean(worse):.4f} of goals, of one arm {max(worse):.4f}")
+    print(f"  ours better by 1e-8: {np.mean(theirs_worse):.4f} of goals")
+    print(f"  worse than 16 scipy starts: {sum(map(bool, beaten))} of {len(beaten)} goals", flush=True)
+
+
 def main() -> None:
     """Print a table."""
     parser = argparse.ArgumentParser()
@@ -70,8 +96,11 @@ def main() -> None:
     parser.add_argument("--goals", type=int, default=200_000)
     parser.add_argument("--rivals", type=int, default=200)
     parser.add_argument("--starts", type=int, default=64)
+    parser.add_argument("--general", type=int, default=0)
     given = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
+    if given.general:
+        return general(given.general)
     for name in given.arms:
         arm = ikjax.robots.get(name)
         goals = goals_of(arm, given.goals)

@@ -78,8 +78,12 @@ _HELD = (
     "project starts from each branch with the goal's point held and the nearest orientation that allows; "
     "that the best of where they lead is the nearest of all poses was measured on samples, not proved."
 )
-_CLAMPED = "project starts from each branch, clamped where it does not reach; nothing more is proved."
-_SCATTERED = "project starts from 64 fixed joints spread over the limits; nothing more is proved."
+_BOTTOM = "no small move improves where they end; that it is the nearest of all poses is not proved."
+_CLAMPED = (
+    "project starts from each branch, clamped where it does not reach, and from 28 fixed joints where poses "
+    f"are asked for or limits set: {_BOTTOM}"
+)
+_SCATTERED = f"project starts from 64 fixed joints spread over the limits: {_BOTTOM}"
 
 
 def explain(arm: Arm) -> str:

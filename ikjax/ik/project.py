@@ -11,6 +11,7 @@ from ikjax.arm.arm import Arm
 from ikjax.ik import priority as priorities
 from ikjax.ik.projection import Projection
 from ikjax.ik.refine import STEPS, best_of, checked, descended
+from ikjax.solvers import FAMILIES
 
 SCATTERED, BESIDE = 64, 28
 """Starts for an arm without a closed form, and beside the branches of an arm with limits."""
@@ -30,10 +31,10 @@ def project(
     Nearest is what minimises |dp|^2 + (length * angle)^2; see `refine`. Every branch of the closed form is a
     start: for five joints of family `five_axis` with the goal's point held and the orientation as near as
     that allows (the nearest reachable point where it is out of reach), for all other families the branches of
-    `solve`, clamped. Joint limits make basins that no branch leads to: `beside` adds starts that are spread
-    over them, always the same. An arm without a family starts from 64 such. Each start ends where no small
-    move improves it; that the best is the nearest of all poses is not proved, and within tight limits it is
-    not always (`benchmarks/projection.py` compares).
+    `solve`, clamped. Limits, and joints too few, make basins that no branch leads to: `beside` adds starts
+    that are spread over them, always the same. An arm without a family starts from 64 such. Each start ends
+    where no small move improves it; that the best is the nearest of all poses is not proved, and within tight
+    limits it is not always (`benchmarks/projection.py` compares).
 
     Args:
         arm: Any arm of up to seven joints.
@@ -42,8 +43,8 @@ def project(
         priority: "weighted" is the cost above. "position" and "orientation" put one error first; see
             `refine`. Where the closed form holds the point, it is what "position" starts from.
         steps: At most so many steps of refinement from each branch; with none, the closed form alone.
-        beside: So many starts beside the branches; 28 by default for an arm with limits that is refined, else
-            none. They are most of the work.
+        beside: So many starts beside the branches; by default 28 for an arm with limits, and for one that is
+            asked for poses and not of family `five_axis`; none without steps. They are most of the work.
 
     Returns:
         `Projection`: the best branch, and all of them as `.branches`, (..., S): first those of the arm, in
@@ -55,7 +56,7 @@ def project(
     goals, arm = checked(arm, goals, length)
     priority = priorities.checked(arm, priority)
     if beside is None:
-        beside = SCATTERED if arm.family is None else BESIDE if steps and _limited(arm) else 0
+        beside = SCATTERED if arm.family is None else BESIDE if steps and _astray(arm) else 0
     return best_of(arm, _from_all(arm, goals, length, steps, beside, priority), priority)
 
 
@@ -77,7 +78,10 @@ def _from_all(arm: Arm, goals, length, steps: int, beside: int, priority: str) -
     return jax.tree.map(lambda x, y: jnp.concatenate([x, y], axis), found, rest)
 
 
-def _limited(arm: Arm) -> bool:
+def _astray(arm: Arm) -> bool:
+    """Whether the nearest pose may be where no branch leads: by limits, or for want of joints."""
+    if arm.task == "pose" and FAMILIES[str(arm.family)].nearest is None:
+        return True
     return isinstance(arm.limits, jax.core.Tracer) or bool(np.isfinite(np.asarray(arm.limits)).any())
 
 

@@ -102,11 +102,12 @@ def multi_start(arm, goal, count, seed):
     def numpy_fk(q):
         a, alpha, d, theta, base, tool = table
         T = base
-        for i in range(len(a)):
-            c, s = np.cos(theta[i] + q[i]), np.sin(theta[i] + q[i])
+        for i, kind in enumerate(arm.kinds):
+            turn, slide = (theta[i] + q[i], d[i]) if kind == "R" else (theta[i], d[i] + q[i])
+            c, s = np.cos(turn), np.sin(turn)
             ca, sa = np.cos(alpha[i]), np.sin(alpha[i])
             rows = [[c, -s * ca, s * sa, a[i] * c], [s, c * ca, -c * sa, a[i] * s]]
-            T = T @ np.array([*rows, [0, sa, ca, d[i]], [0, 0, 0, 1]])
+            T = T @ np.array([*rows, [0, sa, ca, slide], [0, 0, 0, 1]])
         return T @ tool
 
     best = np.inf
@@ -160,7 +161,21 @@ def test_slopes_of_every_branch_are_those_of_differences_and_zero_where_there_is
     assert not slopes[0][-1].any() and np.abs(slopes[0][:-1]).max() > 0.1
 
 
+TURRET = ikjax.Arm.from_dh(
+    a=[0.05, 0.3, 0.25, 0.1], alpha=[np.pi / 2, 0, 0, 0], d=[0.3, 0, 0, 0], convention="standard"
+)
+
+
+def test_an_arm_of_few_joints_starts_beside_its_branches_too():
+    """Two branches led a tenth of such goals astray."""
+    near = jax.eval_shape(lambda goals: ikjax.project(TURRET, goals), jnp.zeros((3, 4, 4)))
+    assert near.branches.cost.shape == (3, 2 + 28)
+
+
 OTHERS = {
+    "turret": TURRET,
+    "scara": ikjax.robots.get("gx4_351s"),
+    "puma560": ikjax.robots.get("puma560"),
     "stanford": ikjax.robots.get("stanford"),
     "none": ikjax.Arm.from_dh(
         a=[0.1, 0.3, 0.2, 0.05, 0],
