@@ -54,7 +54,7 @@ print(bases)
 # %%
 fig, ax = plt.subplots(figsize=(8.5, 4.6), layout="constrained")
 gx, gy = bases.grid.axis(0), bases.grid.axis(1)
-image = ax.pcolormesh(gx, gy, bases.tried[:, :, 0, 0].T, cmap="viridis", vmin=0, vmax=1)
+image = ax.pcolormesh(gx, gy, bases.tried[:, :, 0, 0].T, cmap="Blues", vmin=0)
 ax.plot(x.ravel(), y.ravel(), "x", color="0.3", ms=5)
 for k, (before, after) in enumerate(zip(bases.start, bases.base, strict=True)):
     ax.plot(*before[:2, 3], "o", mfc="none", color="black", ms=5)
@@ -84,7 +84,7 @@ for ax, before, after, what in [
     ax.plot(number, before, "o", color="0.5", label="on the grid")
     ax.plot(number, after, "o", color="#0072b2", label="polished")
     ax.set(xlabel="base", ylabel=what, xticks=number, xlim=(0.5, len(bases) + 0.5))
-axes[1].legend()
+axes[0].legend(loc="lower left")
 plt.show()
 
 # %% [markdown]
