@@ -9,10 +9,10 @@ Manual for the Elementary Functions (1980), chapter 8. The polynomials are minim
 atan(t)/t, sin(t)/t and cos(t) in t^2, made with Remez exchange at 50 digits.
 """
 
-import functools
 import math
+from collections.abc import Callable
 from fractions import Fraction
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
@@ -26,9 +26,13 @@ SinCos = tuple[Scalar, Scalar]
 PI = math.pi
 
 
-_traced_once = functools.partial(jax.jit, inline=True)
-"""A kernel calls these some fifty times: they are traced once a shape, and then part of its graph as
-if written there. Outside a jit they are one program instead of thirty."""
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def _traced_once(f: F) -> F:
+    """A kernel calls these some fifty times: they are traced once a shape, and then part of its graph as
+    if written there. Outside a jit they are one program instead of thirty."""
+    return cast(F, jax.jit(f, inline=True))
 
 
 class Angle(NamedTuple):
