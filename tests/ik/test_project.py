@@ -194,6 +194,7 @@ def test_other_arms_are_projected_likewise(name):
     near = ikjax.project(arm, goals, LENGTH)
     assert near.converged.mean() > 0.99
     low, high = np.array(arm.limits).T
-    assert ((near.q >= low) & (near.q <= high)).all()
+    q = np.array(near.q)
+    assert ((q >= low) & (q <= high)).all()
     for k in range(3):
         assert near.cost[k] <= multi_start(arm, goals[k], 8, k) * (1 + 1e-8)
