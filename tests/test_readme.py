@@ -6,6 +6,8 @@ import re
 import subprocess
 import sys
 
+import pytest
+
 ROOT = pathlib.Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text()
 
@@ -19,14 +21,14 @@ def run(command, cwd) -> subprocess.CompletedProcess:
     return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True)
 
 
-def test_the_python_of_the_readme_runs(tmp_path):
-    assert blocks("python")
-    for code in blocks("python"):
-        done = run([sys.executable, "-c", code], tmp_path)
-        assert done.returncode == 0, done.stderr[-2000:]
+@pytest.mark.parametrize("code", blocks("python"), ids=lambda code: f"{len(code)} characters")
+def test_the_python_of_the_readme_runs(code, tmp_path):
+    done = run([sys.executable, "-c", code], tmp_path)
+    assert done.returncode == 0, done.stderr[-2000:]
 
 
 def test_the_commands_of_the_readme_run(tmp_path):
+    assert len(blocks("python")) > 2
     commands = [line for block in blocks("console") for line in block.splitlines() if line.startswith("$ ")]
     assert commands
     for command in commands:

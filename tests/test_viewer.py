@@ -72,6 +72,7 @@ class Server:
     def add_frame(self, *_, **__): ...
 
 
+@pytest.mark.slow
 def test_every_valid_branch_of_the_goal_is_drawn_and_ends_there(reach):
     server = Server()
     shown = viewer.Viewer(reach, server=server)

@@ -73,6 +73,7 @@ def _found(q, sol):
     return np.where(sol.valid, off, np.inf).min(-1)
 
 
+@pytest.mark.slow
 def test_a_rounded_file_is_recognised_and_answered_as_it_is():
     arm = ikjax.Arm.from_urdf(urdf(PUMA))
     assert arm.family == "ortho_parallel_wrist" and arm.kinds == "RRRRRR" and arm.name == "arm"

@@ -11,7 +11,7 @@ import ikjax
 from ikjax.solvers.family import reach
 
 MEASURES = (ikjax.manipulability, ikjax.inverse_condition, ikjax.sigma_min)
-ARMS = ("puma560", "stanford", "so101", "gx4_351s", "planar_prr", "planar_2r")
+ARMS = ("puma560", "so101", "planar_prr", "planar_2r", "stanford", "gx4_351s")
 
 
 def joints(arm, rng, count=40):
@@ -36,7 +36,9 @@ def measured(arm, q):
     return jnp.stack([measure(arm, q) for measure in MEASURES], axis=-1)
 
 
-@pytest.mark.parametrize("name", ARMS)
+@pytest.mark.parametrize(
+    "name", [*ARMS[:4], *(pytest.param(name, marks=pytest.mark.slow) for name in ARMS[4:])]
+)
 def test_measures_are_those_of_the_singular_values(name, costly_dtype, rng):
     arm = ikjax.robots.get(name).astype(costly_dtype)
     q = joints(arm, rng).astype(costly_dtype)

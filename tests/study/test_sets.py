@@ -55,6 +55,7 @@ def assert_counts_what_solve_answers(reach):
             assert (reach.reached((0, 0, 0)) == reach.reached()[0, 0, 0]).all()
 
 
+@pytest.mark.slow
 def test_a_sweep_over_spheres_and_a_hopf_grid_counts_what_solve_answers():
     around = ikjax.shell((0, 0, 0.1), [0.3, 0.55, 0.8], 13)
     assert_counts_what_solve_answers(ikjax.sweep(ARM, around, ikjax.hopf(0), statistics=REACHED))

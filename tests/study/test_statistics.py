@@ -99,6 +99,7 @@ def test_a_measure_of_ones_own_is_reduced_exactly(swept, solved, tmp_path):
     assert small.bits(ikjax.ReachMap.load(tmp_path / "map.zarr")) == small.bits(swept)
 
 
+@pytest.mark.slow
 def test_bits_do_not_depend_on_units_and_another_program_is_another_study(tmp_path):
     pytest.importorskip("tensorstore")
 
