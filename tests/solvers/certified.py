@@ -13,6 +13,7 @@ Source: Pieper, The kinematics of manipulators under computer control (1968); th
 """
 
 import functools
+import inspect
 import itertools
 
 import mpmath
@@ -79,6 +80,10 @@ def nodes(kind, degree) -> tuple:
     return points, np.array((powers**-1).tolist(), object)
 
 
+# From mpmath 1.4 on the other order is deprecated; before, it is the only one.
+LOWEST_FIRST = {"asc": True} if "asc" in inspect.signature(mp.polyroots).parameters else {}
+
+
 def roots(kind, F, degree) -> list:
     """The real zeros of F: of that degree in cos and sin of a turn, of twice that degree in a slide."""
 
@@ -89,11 +94,13 @@ def roots(kind, F, degree) -> list:
     samples = np.array([polynomial(x) for x in points], object)
     coefficients = list(weights @ samples)
     witness = mp.expjpi(mp.mpf(1) / 7) if kind == "R" else mp.mpf(1) / 3
-    missed = abs(mp.polyval(coefficients, witness) - polynomial(witness))
+    value = sum(c * witness**k for k, c in enumerate(reversed(coefficients)))
+    missed = abs(value - polynomial(witness))
     assert missed < 1e-40 * (1 + max(map(abs, samples))), "F is of a higher degree"
     start = [mp.mpc(complex(x)) for x in np.roots([complex(c) for c in coefficients])]
     # Corrections below 1e-50 of roots 1e-6 apart: each approximation is the one root of its own disc.
-    found = mp.polyroots(coefficients, maxsteps=40, extraprec=120, cleanup=False, roots_init=start)
+    ordered = coefficients[::-1] if LOWEST_FIRST else coefficients
+    found = mp.polyroots(ordered, **LOWEST_FIRST, maxsteps=40, extraprec=120, cleanup=False, roots_init=start)
     off = [abs(abs(x) - 1) if kind == "R" else abs(mp.im(x)) for x in found]
     near = min(abs(x - y) for x, y in itertools.combinations(found, 2))
     if near < APART or any(REAL <= gap <= NOT_REAL for gap in off):
