@@ -222,7 +222,9 @@ def run(study: Study, seeds: int) -> list[str]:
 
     score(np.zeros(len(plan.parameters.names)))
     by_gradient(study, 0)  # compiles
-    rows, wins, far = [], {name: [0, 0] for name in ("random", "evolution")}, []
+    rows, far = [], []
+    # At equal evaluations and at equal time: lost, won, level.
+    wins = {name: ([0, 0, 0], [0, 0, 0]) for name in ("random", "evolution")}
     scores = {"gradient": [], "random": [], "evolution": [], "random, time": [], "evolution, time": []}
     for seed in range(seeds):
         found, seconds = by_gradient(study, seed)
@@ -238,7 +240,8 @@ def run(study: Study, seeds: int) -> list[str]:
             both = one.after(count=EVALUATIONS), one.after(seconds=seconds)
             scores[name].append(both[0])
             scores[f"{name}, time"].append(both[1])
-            wins[name] = [w + (found.score > b) for w, b in zip(wins[name], both, strict=True)]
+            for tally, b in zip(wins[name], both, strict=True):
+                tally[int(found.score > b) + 2 * int(found.score == b)] += 1
             calls = sum(t <= seconds for t, _ in one.trail)
             print(
                 f"  seed {seed} {seconds:.1f} s gradient {found.score:.6f} {name} {both[0]:.6f}, "
@@ -252,10 +255,14 @@ def run(study: Study, seeds: int) -> list[str]:
     def told(name):
         return f"{np.mean(scores[name]):.4f} ({np.min(scores[name]):.4f} to {np.max(scores[name]):.4f})"
 
+    def counted(tally):
+        lost, won, level = tally
+        return f"{won}, {level}, {lost}"
+
     for name in wins:
         rows.append(
-            f"| {study.title} | {name} | {told('gradient')} | {told(name)} | {wins[name][0]} of {seeds} | "
-            f"{told(name + ', time')} | {wins[name][1]} of {seeds} |"
+            f"| {study.title} | {name} | {told('gradient')} | {told(name)} | {counted(wins[name][0])} | "
+            f"{told(name + ', time')} | {counted(wins[name][1])} |"
         )
     note = f"{study.title}: the given arm {found.start_score:.4f}"
     note += f"; slope against differences {slope_error(study, best):.1e}"
@@ -277,8 +284,8 @@ def main() -> None:
         f"{EVALUATIONS} evaluations; jax {jax.__version__}",
         flush=True,
     )
-    head = "| study | rival | gradient: mean (worst to best) | rival, equal evaluations | gradient wins "
-    head += "| rival, equal time | gradient wins |"
+    head = "| study | rival | gradient: mean (worst to best) | rival, equal evaluations | won, level, lost "
+    head += "| rival, equal time | won, level, lost |"
     rows = [row for letter in wanted.studies for make in every[letter] for row in run(make(), wanted.seeds)]
     print(head, "|---|---|---|---|---|---|---|", *(row for row in rows if row[0] == "|"), sep="\n")
     print(*(f"\n{row}" for row in rows if row[0] != "|"), sep="\n")

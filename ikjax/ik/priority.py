@@ -6,11 +6,8 @@ the share is eased down stage by stage, each going on from where the last one en
 through the last two bottoms is followed to share zero. What is then left of the first error is of the order
 of the product of the last two shares, where a penalty alone would leave the last share.
 
-Measured (SO-101, 1,024 goals turned anyhow, float64): where the point could be held it was to 1e-16 m in the
-median, and six angles were those of SLSQP to 1e-7 rad. Against 64 random starts of its own,
-"position" with the default starts ended at a farther point for 1 goal in a hundred and at a larger angle for
-2, "orientation" at none and 1 in a thousand. At full stretch a tool point off the last axis leaves bottoms
-2e-5 m apart, of which either may be taken.
+At full stretch a tool point off the last axis leaves bottoms that lie close together, of which either may be
+taken: that the best start is the best of all poses is not proved here either.
 
 Source: penalties and their extrapolation after Fiacco and McCormick, Nonlinear Programming (1968), chapter 5.
 """

@@ -81,8 +81,9 @@ def design(
         blur: Of the score at first and in the end, as a share of the arm's reach.
         limits: Whether the joint limits count.
         batch: So many rows of goals, picked at random, for each step; all by default.
-        finish: So many arms near the best are judged by the exact score in the end, and the best of them
-            is taken. A share of goals has steps that no slope sees, and a bound is only neared by climbing.
+        finish: So many arms near the best, in whole rounds of twice `starts`, are judged by the exact score
+            in the end, and the best of them is taken. A share of goals has steps that no slope sees, and a
+            bound is only neared by climbing.
         seed: Of the other starts, and of the picking.
         progress: Called with the steps done and the scores (starts,) after every chunk.
 
@@ -175,19 +176,20 @@ def _searched(judge, z: np.ndarray, best: tuple, count: int, seed: int, together
     """Numbers, exact score and violation after judging `count` arms about z, `together` at a time.
 
     Steps are normal in half of the logistic coordinates, longer after a round that found better, shorter
-    after one that did not. Where something is near a bound, one arm of a round has it there.
+    after one that did not; arms as good are gone on from too, for a score may be level. Where something is
+    near a bound, one arm of a round has it there.
     """
     rng, size = np.random.default_rng(seed), SEARCH
-    for _ in range(count // together):
+    for _ in range(-(-count // together)):
         some = rng.integers(0, 2, (together, len(z)))
         beside = z + size * some * rng.normal(size=(together, len(z)))
         near = (np.abs(z) > NEAR) & (np.abs(z) < AT)
         if near.any():
             beside[0] = np.where(near, AT * np.sign(z), z)
         values, exact, over = (np.asarray(x) for x in judge(jnp.asarray(beside, best[0].dtype)))
-        i = _best(exact, over, np.zeros(together))
-        better = exact[i] > best[1] and over[i] <= max(MET, best[2])
-        if better:
+        i = _best(np.append(exact, best[1]), np.append(over, best[2]), np.arange(together + 1) == together)
+        better = i < together and (exact[i] != best[1] or over[i] <= MET < best[2])
+        if i < together:
             z, best = beside[i], (values[i], exact[i], over[i])
         size *= LONGER if better else SHORTER
     return best

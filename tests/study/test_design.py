@@ -71,6 +71,13 @@ def test_a_search_alone_finds_an_optimum_on_a_bound():
     np.testing.assert_allclose(alone.score, INNER - 0.7, atol=1e-6)
 
 
+def test_a_search_meets_a_constraint_before_it_looks_at_the_score():
+    short = (lambda arm: arm.a.sum() - 1.1,)  # the given arm has 1.2
+    alone = study(objective="worst_margin", constraints=short, starts=1, steps=0, finish=101)
+    assert alone.violation < 1e-4  # a greater score is to be had for a longer arm
+    np.testing.assert_allclose(alone.score, 0.1, atol=1e-3)
+
+
 def test_a_constraint_holds_in_the_end():
     # The greatest clearance for a total length of 1.3: both links alike.
     short = study(objective="worst_margin", constraints=(lambda arm: arm.a.sum() - 1.3,), steps=400)
