@@ -72,10 +72,12 @@ def test_a_search_alone_finds_an_optimum_on_a_bound():
 
 
 def test_a_search_meets_a_constraint_before_it_looks_at_the_score():
-    short = (lambda arm: arm.a.sum() - 1.1,)  # the given arm has 1.2
-    alone = study(objective="worst_margin", constraints=short, starts=1, steps=0, finish=101)
-    assert alone.violation < 1e-4  # a greater score is to be had for a longer arm
-    np.testing.assert_allclose(alone.score, 0.1, atol=1e-3)
+    # The best of all arms 1.2 long may have 1.1 only: every step towards that makes the score worse.
+    short, arm = (lambda arm: arm.a.sum() - 1.1,), ikjax.robots.planar_2r(0.6, 0.6)
+    vary = {"a": (0.1, 2.0)}
+    alone = ikjax.design(arm, ring(), vary, "worst_margin", constraints=short, starts=1, steps=0, finish=101)
+    assert alone.violation < 1e-4
+    np.testing.assert_allclose([alone.start_score, alone.score], [0.2, 0.1], atol=1e-3)
 
 
 def test_a_constraint_holds_in_the_end():
