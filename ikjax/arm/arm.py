@@ -15,6 +15,7 @@ import numpy as np
 from ikjax.arm import dh, freedom, structure, table
 from ikjax.arm.axes import Axes, Rewritten, rewritten
 from ikjax.arm.rules import RULES
+from ikjax.core import pose as poses
 from ikjax.core.trig import Scalar
 
 Number = jax.Array | np.ndarray
@@ -188,8 +189,15 @@ class Arm:
         return freedom.free(self)
 
     def astype(self, dtype) -> "Arm":
-        """The same arm with leaves of another floating type."""
-        return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), self)
+        """The same arm with leaves of another floating type.
+
+        Where that is wider, base and tool are made rotations to its last digits, as float32 could not hold
+        them: a goal is reached to 1e-9 or not at all.
+        """
+        arm = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), self)
+        if arm.base.dtype.itemsize <= self.base.dtype.itemsize:
+            return arm
+        return dataclasses.replace(arm, base=poses.rigid(arm.base), tool=poses.rigid(arm.tool))
 
     def baked(self) -> "Arm":
         """The same arm as plain numpy numbers, which a kernel folds in as constants.

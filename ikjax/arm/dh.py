@@ -9,6 +9,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ikjax.core import vector
+
+EXACT = 1e-14
+"""R^T R - I of a float64 rotation is below."""
+
 MAX_LENGTH = 1e100
 """Beyond this a length [m] is a mistake: its square no longer fits a float64."""
 
@@ -56,7 +61,7 @@ def row(name: str, value, n: int):
 
 
 def check_pose(name: str, value):
-    """A (4, 4) rigid pose."""
+    """A (4, 4) rigid pose; one that was rounded is made a rotation again, or no goal would be met."""
     value = _convert(name, value)
     if value.shape != (4, 4):
         raise ValueError(f"{name} must have shape (4, 4), got {value.shape}")
@@ -69,6 +74,9 @@ def check_pose(name: str, value):
         gap = np.linalg.norm(rotation.T @ rotation - np.eye(3))
         if gap > 1e-5 or np.linalg.det(rotation) < 0:
             raise ValueError(f"{name} must hold a rotation, its R^T R - I has norm {gap:.1g}")
+        if gap > EXACT:
+            value = value.copy()
+            value[:3, :3] = vector.orthonormal(tuple(map(tuple, rotation.tolist())))
     return value
 
 

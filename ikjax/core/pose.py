@@ -57,6 +57,12 @@ def to_matrix(pose: Pose) -> jax.Array:
     return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
 
 
+def rigid(matrix) -> jax.Array:
+    """A pose (..., 4, 4) whose rotation was rounded, with a rotation again."""
+    pose = from_matrix(matrix)
+    return to_matrix(Pose(vector.orthonormal(pose.rotation), pose.position))
+
+
 def difference(first: Pose, second: Pose) -> tuple[Scalar, Scalar]:
     """Distance [m] and angle [rad] between two poses, in scalars.
 

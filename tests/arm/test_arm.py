@@ -152,6 +152,24 @@ def test_leaves_have_one_floating_type(dtype):
         assert (arm.n, arm.kinds, arm.family) == (6, "RRRRRR", "ortho_parallel_wrist")
 
 
+MOUNT = np.array([[0.36, 0.48, -0.8, 0.1], [-0.8, 0.6, 0, 0.2], [0.48, 0.64, 0.6, 0.3], [0, 0, 0, 1]])
+TURNED = np.linalg.matrix_power(MOUNT, 3)
+"""No two of its digits are alike."""
+
+
+@pytest.mark.parametrize("rounded", [TURNED.round(6), TURNED.astype(np.float32).astype(float)])
+def test_a_rounded_base_and_tool_are_rotations_all_the_same(rounded):
+    arm = Arm.from_dh(**{**PUMA, "base": rounded, "tool": rounded})
+    narrow = Arm.from_dh(**{**PUMA, "base": TURNED, "tool": TURNED}, dtype=np.float32)
+    for each in (arm, narrow.astype(np.float64)):
+        for mount in (each.base, each.tool):
+            np.testing.assert_allclose(mount, TURNED, atol=2e-6)
+            turn = np.asarray(mount)[:3, :3]
+            np.testing.assert_allclose(turn.T @ turn, np.eye(3), atol=1e-15)
+    sol = ikjax.solve(arm, fk(arm, np.array([[0.1, 0.2, 0.3, 0.4, 0.5, 0.6]])))
+    assert sol.valid.any()
+
+
 def test_an_arm_split_and_joined_is_the_same(dtype):
     arm = awkward().astype(dtype)
     known, rest = arm.split()
