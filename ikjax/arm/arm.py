@@ -6,6 +6,7 @@ modified DH after Craig, Introduction to Robotics, 3rd ed., section 3.4.
 """
 
 import dataclasses
+import math
 from typing import Any
 
 import jax
@@ -191,13 +192,21 @@ class Arm:
     def astype(self, dtype) -> "Arm":
         """The same arm with leaves of another floating type.
 
-        Where that is wider, base and tool are made rotations to its last digits, as float32 could not hold
-        them: a goal is reached to 1e-9 or not at all.
+        Where that is wider, what was rounded to the narrower one is what it stood for: right angles between
+        axes are right angles, and base and tool are rotations, to the last digit. Otherwise no goal would be
+        reached to 1e-9.
         """
         arm = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), self)
         if arm.base.dtype.itemsize <= self.base.dtype.itemsize:
             return arm
-        return dataclasses.replace(arm, base=poses.rigid(arm.base), tool=poses.rigid(arm.tool))
+        square = np.asarray(math.pi / 2, dtype) * jnp.round(arm.alpha / np.asarray(math.pi / 2, dtype))
+        rounded = abs(arm.alpha - square) <= math.pi * float(jnp.finfo(self.alpha.dtype).eps)
+        return dataclasses.replace(
+            arm,
+            alpha=jnp.where(rounded, square, arm.alpha),
+            base=poses.rigid(arm.base),
+            tool=poses.rigid(arm.tool),
+        )
 
     def baked(self) -> "Arm":
         """The same arm as plain numpy numbers, which a kernel folds in as constants.

@@ -166,8 +166,11 @@ def test_a_rounded_base_and_tool_are_rotations_all_the_same(rounded):
             np.testing.assert_allclose(mount, TURNED, atol=2e-6)
             turn = np.asarray(mount)[:3, :3]
             np.testing.assert_allclose(turn.T @ turn, np.eye(3), atol=1e-15)
-    sol = ikjax.solve(arm, fk(arm, np.array([[0.1, 0.2, 0.3, 0.4, 0.5, 0.6]])))
-    assert sol.valid.any()
+    exact = Arm.from_dh(**PUMA)
+    np.testing.assert_array_equal(exact.astype(np.float32).astype(np.float64).alpha, exact.alpha)
+    for each in (arm, narrow.astype(np.float64)):
+        sol = ikjax.solve(each, fk(each, np.array([[0.1, 0.2, 0.3, 0.4, 0.5, 0.6]])))
+        assert sol.valid.any()
 
 
 def test_an_arm_split_and_joined_is_the_same(dtype):

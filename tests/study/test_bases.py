@@ -131,8 +131,9 @@ def test_float32_stands_where_float64_does():
 
 @pytest.fixture(scope="module")
 def scara():
-    """An arm in space, whose first joint has limits, and a map of it with one orientation a goal."""
+    """An arm in space, whose first and last joints have limits, and a map with one orientation a goal."""
     arm = ikjax.robots.gx4_351s()
+    arm = dataclasses.replace(arm, limits=np.array([*arm.limits[:3], (-1.2, 1.5)]))
     turned = np.stack([about_z(k * np.pi / 2)[:3, :3] for k in range(4)])
     grid = ikjax.grid((-0.4, -0.4, -0.1), (0.4, 0.4, 0.0), 0.1)
     return arm, ikjax.sweep(arm, grid, turned, statistics=("reachable_within", "mask_within", "mask"))
