@@ -98,7 +98,7 @@ def test_an_unknown_priority_is_named():
         ikjax.project(ARM, np.eye(4), priority="tool")
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_orientation_is_held_where_it_can_be():
     _, near = projected("orientation")
     _, point = projected("position")
@@ -107,7 +107,7 @@ def test_the_orientation_is_held_where_it_can_be():
     assert (near.position_error >= point.position_error - 1e-9).all()
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_it_means_what_the_closed_form_means():
     """Of an arm whose tool point is on its last axis: nothing is left to improve with the point held."""
     arm = ikjax.robots.get("motoman_l3")
@@ -119,7 +119,7 @@ def test_it_means_what_the_closed_form_means():
     np.testing.assert_allclose(near.rotation_error[held], closed.rotation_error[held], atol=2e-6)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("priority", ["position", "orientation"])
 def test_slopes_are_those_of_differences(priority):
     goals = jnp.asarray(wild(ARM, 6, 0.6 * LOW, 0.6 * HIGH, seed=3)[:6])
