@@ -54,16 +54,25 @@ def _take_file(place: Place, path: pathlib.Path) -> bool:
         # Two that find one stale lock would each remove the other's new one: it is rewritten in place
         # instead, by whoever holds the file, and only if it is still the file of that name.
         fcntl.flock(handle, fcntl.LOCK_EX)
-        if not path.exists() or path.stat().st_ino != os.fstat(handle).st_ino:
+        if not _is_named(path, handle):
             return False
         _refuse_living(place, os.pread(handle, 4096, 0), f"the file {path}")
         os.ftruncate(handle, 0)
         with place.storing(str(path)):
             os.pwrite(handle, _mine(), 0)
             os.fsync(handle)
-        return True
+        # The last holder may have taken it away and ended since, before it was found dead.
+        return _is_named(path, handle)
     finally:
         os.close(handle)
+
+
+def _is_named(path: pathlib.Path, handle: int) -> bool:
+    """Whether an open file is still the one of that name."""
+    try:
+        return os.path.samestat(os.stat(path), os.fstat(handle))
+    except FileNotFoundError:
+        return False
 
 
 def _take_key(place: Place) -> None:

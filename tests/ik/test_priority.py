@@ -48,6 +48,7 @@ def numpy_fk(arm):
     return fk
 
 
+@pytest.mark.slow
 def test_the_point_is_held_where_it_can_be_with_the_nearest_orientation():
     goals, near = projected()
     fk, q = numpy_fk(ARM), np.array(near.q)

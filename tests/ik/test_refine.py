@@ -121,6 +121,7 @@ def test_it_ends_where_no_small_move_improves_and_never_above_its_start():
         assert (ahead[:, np.array(near.converged)] > -1e-15).all()
 
 
+@pytest.mark.slow
 def test_a_loss_of_ones_own_is_minimised_within_limits():
     goals = wild(ARM, 4)
 

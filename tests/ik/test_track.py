@@ -16,6 +16,7 @@ def path():
     return q, np.array(ikjax.fk(ARM, q))
 
 
+@pytest.mark.slow
 def test_an_attainable_path_is_followed_on_its_branch_and_a_bad_goal_is_waited_out():
     q, goals = path()
     found = ikjax.track(ARM, goals, q[0])

@@ -189,6 +189,7 @@ def test_forward_is_reverse(name):
 @pytest.mark.parametrize(
     "name", ["2R", *(pytest.param(name, marks=pytest.mark.long) for name in ("3R", "puma560"))]
 )
+@pytest.mark.slow
 def test_second_order_vmap_jit_and_remat_agree(name):
     arm, goals, _, ok = case(name, 24)
     goals = goals[ok.all(-1)][:4]
@@ -269,6 +270,7 @@ def test_slots_that_reach_nothing_stand_still(name):
     assert not slopes[1].any() and slopes[0].any() and slopes[2].any()
 
 
+@pytest.mark.slow
 def test_damping_bounds_the_slope_at_a_singularity():
     arm = build("puma560").astype(np.float64)
     q = jnp.array([0.3, -0.5, 0.4, 0.2, 0.0, 0.6])  # the wrist is straight

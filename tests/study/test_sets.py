@@ -72,6 +72,7 @@ def test_a_sweep_over_a_surface_sees_orientations_from_its_normals(rng):
 
 
 @pytest.mark.parametrize("statistics", [REACHED, pytest.param(LIGHT, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_a_free_roll_counts_a_goal_once_if_it_is_reached_at_any(statistics):
     grid = ikjax.grid((-0.5, -0.5, 0.2), (0.6, 0.6, 0.8), 0.3)
     tight = dataclasses.replace(ARM, limits=np.tile([-1.5, 1.5], (6, 1)))

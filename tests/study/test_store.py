@@ -1,10 +1,12 @@
 """Stored maps survive whatever interrupts or damages them, and are never wrong."""
 
 import importlib.util
+import json
 import os
 import pathlib
 import re
 import shutil
+import socket
 import subprocess
 import sys
 
@@ -13,7 +15,7 @@ import pytest
 import small
 
 import ikjax
-from ikjax.study import layout
+from ikjax.study import layout, lock
 from ikjax.study import spec as specs
 from ikjax.study.orientations import Listed
 from ikjax.study.place import Place, StorageError
@@ -279,6 +281,24 @@ def test_a_folder_that_is_read_only_is_named_and_a_map_in_it_is_read(mounted, wh
         with pytest.raises(StorageError, match=r"cannot write .*zarr\.lock: .*Read-only file system"):
             small.swept(folder / out, **options)
     assert_whole(folder / "map.zarr", whole, memory)
+
+
+def test_a_lock_that_is_taken_away_while_its_holder_is_found_dead_is_not_held(tmp_path, monkeypatch):
+    path = tmp_path / "map.zarr.lock"
+    path.write_bytes(json.dumps({"pid": 2**22 + 1, "host": socket.gethostname(), "began": "1"}).encode())
+    refuse = lock._refuse_living
+
+    def ended(place, holder, where):
+        monkeypatch.setattr(lock, "_refuse_living", refuse)
+        path.unlink()
+        refuse(place, holder, where)
+
+    monkeypatch.setattr(lock, "_refuse_living", ended)
+    place = Place(tmp_path / "map.zarr")
+    wanted = pytest.raises(ValueError, match="is being written by process")
+    with lock.Lock(place), wanted, lock.Lock(place):
+        pass
+    assert not path.exists()
 
 
 def test_of_many_who_find_a_dead_writers_lock_one_takes_it(tmp_path):

@@ -21,7 +21,9 @@ def reach(arm):
     return ikjax.sweep(arm, ikjax.around(arm, 0.4), 45, dtype="float64")
 
 
-@pytest.mark.parametrize("name", ["ur5", "puma560", pytest.param("kr6_r900", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "name", ["puma560", *(pytest.param(name, marks=pytest.mark.slow) for name in ("ur5", "kr6_r900"))]
+)
 def test_a_sweep_counts_what_solve_answers(name):
     arm = ikjax.robots.get(name)
     reach = ikjax.sweep(arm, ikjax.around(arm, 0.4), 45, dtype="float64")
