@@ -94,7 +94,7 @@ def _counter(known: Known, limits: bool, width: int):
             goal, proper = clean(Pose(every, position), reach(arm))
             hold = None if is_small(arm) else holder(position[0])
             slots = solve_scalars(arm, goal, hold=hold)
-            flags = Goal(arm, slots, hold or (lambda x: x), shape).flags(limits)
+            flags = Goal(arm, slots, hold or (lambda x: x), shape, {}).flags(limits)
             hit = functools.reduce(jnp.logical_or, flags) & proper & some
             margin = functools.reduce(jnp.maximum, [slot.margin for slot in slots])
             margin = jnp.where(some, jnp.broadcast_to(margin, shape), jnp.inf)

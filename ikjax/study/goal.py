@@ -3,17 +3,23 @@
 Storey: study.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 
 from ikjax.arm.arm import Arm
+from ikjax.solvers.branch import in_bits
 from ikjax.solvers.family import Slot
 from ikjax.study.limits import within
 
 GROUP = 32
 """Goals that are added up in 32 bits before anything else happens to them."""
+
+
+CODE = 24
+"""Bits of a number of either type without rounding."""
 
 
 class Goal(NamedTuple):
@@ -24,12 +30,30 @@ class Goal(NamedTuple):
     hold: Callable[[Any], Any]
     """Keeps a value from being computed again; see `ik.graph`."""
     shape: tuple[int, int]
+    kept: dict[Any, Any]
+    """What several lanes look at and was made already."""
 
     def flags(self, inside: bool) -> list[jax.Array]:
         """Which slots count."""
+        if inside in self.kept:
+            return self.kept[inside]
         if not inside:
             return [slot.valid for slot in self.slots]
         return [slot.valid & within(self.arm, slot) for slot in self.slots]
+
+    def coded(self, kinds: Sequence[bool]) -> "Goal":
+        """The same goal, with its flags read from one number that is made once.
+
+        Args:
+            kinds: Which flags: without limits, within them. There are at most `CODE` of them in all.
+        """
+        flags = [flag for inside in kinds for flag in self.flags(inside)]
+        dtype = self.slots[0].margin.dtype
+        code = self.hold(jnp.broadcast_to(in_bits(flags, dtype), self.shape)).astype(jnp.int32)
+        read = [(code >> k & 1) == 1 for k in range(len(flags))]
+        count = len(self.slots)
+        parts = {inside: read[k * count : (k + 1) * count] for k, inside in enumerate(kinds)}
+        return self._replace(kept={**self.kept, **parts})
 
 
 class Lane(NamedTuple):
@@ -40,6 +64,8 @@ class Lane(NamedTuple):
     value: Callable[[Goal], jax.Array]
     most: int = 1
     """Of a count: the greatest number of one goal."""
+    inside: bool = False
+    """Of a count or bits: which flags it looks at."""
     any_roll: bool = False
     """Of a count: over free rolls it is a yes or no, and not a sum."""
     held: bool = False

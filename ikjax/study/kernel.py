@@ -1,12 +1,14 @@
 """The loop of a sweep: positions with every orientation, reduced inside one fused loop.
 
 Storey: study. Whole numbers go in, which say what positions and orientations, and nothing but totals
-comes out. Counts of 32 goals travel as bit fields of one 32-bit sum, because a loop with one result is
-fused and a loop with four is computed four times; whatever does not fit that word has a loop of its own.
+comes out. A loop with one result is fused and a loop with four is computed four times: so what counts a
+goal's slots shares one number of that goal, the bits of its slots, and what needs joints shares a loop in
+which every value is kept.
 """
 
 import dataclasses
 import functools
+import itertools
 import time
 from collections.abc import Callable
 from typing import Any
@@ -27,7 +29,18 @@ from ikjax.study.goal import GROUP, Goal
 from ikjax.study.orientations import Orientations
 from ikjax.study.statistics import Plan
 from ikjax.study.surface import Surface
-from ikjax.study.words import JOIN, Word, added, blank, over_rolls, reduced, start, words_of
+from ikjax.study.words import (
+    JOIN,
+    Group,
+    Word,
+    added,
+    blank,
+    groups_of,
+    over_rolls,
+    reduced,
+    start,
+    value_of,
+)
 
 POSITIONS, ORIENTATIONS = 64, 512
 """Goals in a tile: so many positions with so many orientations each."""
@@ -141,7 +154,8 @@ def kernel_of(arm: Arm, positions, orientations: Orientations, rolls: int, dtype
     """
     arm = arm.astype(dtype).baked()
     place, turn = positions.tables(dtype), orientations.tables(dtype)
-    words = words_of(plan.lanes, rolls)
+    groups = groups_of(plan.lanes, rolls, len(arm.branches), is_small(arm))
+    words = [word for group in groups for word in group.words]
     devices = jax.local_devices()
     mesh = Mesh(np.array(devices), ("goals",))
     width = min(ORIENTATIONS, -(-orientations.count // GROUP) * GROUP)
@@ -160,7 +174,7 @@ def kernel_of(arm: Arm, positions, orientations: Orientations, rolls: int, dtype
     if key not in _compiled:
         while len(_compiled) >= _KEPT:
             _compiled.pop(next(iter(_compiled)))
-        loop = functools.partial(_loop, arm, positions, orientations, rolls, dtype, words, (tiles, width))
+        loop = functools.partial(_loop, arm, positions, orientations, rolls, dtype, groups, (tiles, width))
         shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), (place, turn))
         index = jax.ShapeDtypeStruct((len(devices) * CALL, len(positions.shape)), np.int32)
         numbers = [jax.ShapeDtypeStruct((), np.int32)] * 3
@@ -181,7 +195,7 @@ def kernel_of(arm: Arm, positions, orientations: Orientations, rolls: int, dtype
     )
 
 
-def _loop(arm, positions, orientations, rolls, dtype, words, size, tables, index, first, blocks, tiles):
+def _loop(arm, positions, orientations, rolls, dtype, groups, size, tables, index, first, blocks, tiles):
     """Totals of every word, (CALL, k)."""
     most, width = size
     count = orientations.count
@@ -196,13 +210,13 @@ def _loop(arm, positions, orientations, rolls, dtype, words, size, tables, index
     table = jnp.stack([jnp.broadcast_to(x, turn.shape) for row in rows for x in row])
     table = jnp.moveaxis(table.reshape(9, most, width), 1, 0)
 
-    def total(word: Word) -> jax.Array:
-        deep = FEW if word.held else POSITIONS
+    def total(group: Group) -> tuple[jax.Array, ...]:
+        deep = FEW if any(lane.held for word in group.words for lane in word.lanes) else POSITIONS
 
-        def block(b, whole):
+        def block(b, wholes):
             here = jax.lax.dynamic_slice_in_dim(places, b * deep, deep, 1)[:, :, None]
 
-            def tile(t, total):
+            def tile(t, totals):
                 r = jax.lax.dynamic_index_in_dim(table, t, keepdims=False)[:, None, :]
                 rotation = _rows([r[k] for k in range(9)])
                 if frame is not None:
@@ -210,47 +224,46 @@ def _loop(arm, positions, orientations, rolls, dtype, words, size, tables, index
                 goal = Pose(rotation, tuple(here[k] for k in range(3)))
                 # Where tiles are full there is nothing to leave out, and XLA sees more.
                 mask = jax.lax.dynamic_index_in_dim(real, t, keepdims=False) if count % width else None
-                value = _over_rolls(arm, word, goal, rolls, dtype, (deep, width))
-                return added(word, total, reduced(word, value, mask), t)
+                values = _over_rolls(arm, group, goal, rolls, dtype, (deep, width))
+                found = zip(group.words, totals, values, strict=True)
+                return tuple(
+                    added(word, total, reduced(word, value, mask), t) for word, total, value in found
+                )
 
-            part = start(word, deep, most * width, dtype)
+            parts = tuple(start(word, deep, most * width, dtype) for word in group.words)
             # A loop of one turn costs a tenth of the whole.
-            part = tile(0, part) if most == 1 else jax.lax.fori_loop(0, tiles, tile, part)
-            return jax.lax.dynamic_update_slice_in_dim(whole, part, b * deep, 0)
+            parts = tile(0, parts) if most == 1 else jax.lax.fori_loop(0, tiles, tile, parts)
+            placed = zip(wholes, parts, strict=True)
+            return tuple(jax.lax.dynamic_update_slice_in_dim(*pair, b * deep, 0) for pair in placed)
 
-        whole = start(word, CALL, most * width, dtype)
-        return jax.lax.fori_loop(0, blocks * (POSITIONS // deep), block, whole)
+        wholes = tuple(start(word, CALL, most * width, dtype) for word in group.words)
+        return jax.lax.fori_loop(0, blocks * (POSITIONS // deep), block, wholes)
 
-    return tuple(map(total, words))
+    return tuple(itertools.chain.from_iterable(map(total, groups)))
 
 
 def _rows(nine: list[jax.Array]) -> vector.Matrix:
     return tuple(tuple(nine[3 * i : 3 * i + 3]) for i in range(3))
 
 
-def _over_rolls(arm: Arm, word: Word, goal: Pose, rolls: int, dtype, shape) -> jax.Array:
-    """One number of each goal, (positions, orientations), over all rolls about its own z axis."""
+def _over_rolls(arm: Arm, group: Group, goal: Pose, rolls: int, dtype, shape) -> tuple[jax.Array, ...]:
+    """The numbers of each goal, (positions, orientations), over all rolls about its own z axis."""
 
-    def value(rotation):
-        held = word.held or not is_small(arm)
-        hold = holder(jnp.broadcast_to(rotation[0][0] + goal.position[0], shape)) if held else None
-        slots = solve_scalars(arm, Pose(rotation, goal.position), hold=hold)
-        seen = Goal(arm, slots, hold or (lambda x: x), shape)
-        if word.reduce == "count":
-            code = jnp.zeros(shape, jnp.int32)
-            shift = 0
-            for lane, width in zip(word.lanes, word.widths, strict=True):
-                code, shift = code + (lane.value(seen) << shift), shift + width
-            return code
-        found = jnp.broadcast_to(word.lanes[0].value(seen), shape)
-        return found.astype(word.kind(dtype))
+    def values(rotation) -> tuple[jax.Array, ...]:
+        like = jnp.broadcast_to(rotation[0][0] + goal.position[0], shape)
+        hold = holder(like)
+        slots = solve_scalars(arm, Pose(rotation, goal.position), hold=hold if group.held else None)
+        seen = Goal(arm, slots, hold, shape, {})
+        if group.coded:
+            seen = seen.coded(sorted({lane.inside for word in group.words for lane in word.lanes}))
+        return tuple(value_of(word, seen, dtype) for word in group.words)
 
     if rolls == 1:
-        return value(goal.rotation)
+        return values(goal.rotation)
     steps = np.arange(rolls) * (2 * np.pi / rolls)
     turns = jnp.asarray(np.stack([np.cos(steps), np.sin(steps)], -1).astype(dtype))
 
-    def roll(k, total):
+    def roll(k, totals):
         c, s = turns[k, 0], turns[k, 1]
         x, y, z = vector.transpose(goal.rotation)
         turned = (
@@ -258,6 +271,7 @@ def _over_rolls(arm: Arm, word: Word, goal: Pose, rolls: int, dtype, shape) -> j
             vector.subtract(vector.scale(c, y), vector.scale(s, x)),
             z,
         )
-        return over_rolls(word, total, value(vector.transpose(turned)))
+        found = zip(group.words, totals, values(vector.transpose(turned)), strict=True)
+        return tuple(over_rolls(word, total, value) for word, total, value in found)
 
-    return jax.lax.fori_loop(0, rolls, roll, blank(word, shape, dtype))
+    return jax.lax.fori_loop(0, rolls, roll, tuple(blank(word, shape, dtype) for word in group.words))

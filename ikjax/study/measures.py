@@ -4,6 +4,7 @@ Storey: study. They run in a loop whose values are held, many times slower than 
 """
 
 import dataclasses
+import functools
 import hashlib
 import math
 import re
@@ -129,40 +130,41 @@ def unit_of_mean(slots: int, rolls: int) -> float:
 
 def best(goal: Goal, what: str, inside: bool) -> jax.Array:
     """The greatest of a goal's solutions; 0 without one."""
-    return _over_slots(goal, what, inside, lambda value: value, jnp.maximum, goal.slots[0].margin.dtype)
+    values = zip(_of_slots(goal, what), goal.flags(inside), strict=True)
+    return functools.reduce(jnp.maximum, [jnp.where(flag, value, 0) for value, flag in values])
 
 
 def total(goal: Goal, what: str, inside: bool, unit: float) -> jax.Array:
     """The sum over a goal's solutions, in whole units."""
+    found = jnp.zeros(goal.shape, jnp.int32)
+    for value, flag in zip(_of_slots(goal, what), goal.flags(inside), strict=True):
+        units = jnp.round(jnp.minimum(value, LARGEST) / unit)
+        found = found + jnp.where(flag, units, 0).astype(jnp.int32)
+    return found
 
-    def units(value: jax.Array) -> jax.Array:
-        return jnp.round(jnp.minimum(value, LARGEST) / unit).astype(jnp.int32)
 
-    return _over_slots(goal, what, inside, units, jnp.add, jnp.int32)
+def _of_slots(goal: Goal, what: str) -> list[jax.Array]:
+    """How well the arm moves at each slot, valid or not; computed once a goal."""
 
-
-def _over_slots(goal: Goal, what: str, inside: bool, of: Callable, combine: Callable, kind) -> jax.Array:
     # A loop, because eight of these would compile for half a minute.
     def row(slot) -> list[jax.Array]:
         pairs = [(j.value,) if isinstance(j, Slide) else (j.sin, j.cos) for j in slot.joints]
         return [jnp.broadcast_to(x, goal.shape) for pair in pairs for x in pair]
 
-    table = jnp.stack([jnp.stack(row(slot)) for slot in goal.slots])
-    flags = jnp.stack([jnp.broadcast_to(flag, goal.shape) for flag in goal.flags(inside)])
-
-    def add(k, found):
-        numbers = list(table[k])
+    def measure(numbers: jax.Array) -> jax.Array:
+        left = list(numbers)
         joints: list[Any] = []
         for joint in goal.slots[0].joints:
             if isinstance(joint, Slide):
-                joints.append(Slide(numbers.pop(0)))
+                joints.append(Slide(left.pop(0)))
             else:
-                joints.append(type(joint)(numbers.pop(0), numbers.pop(0), ()))
+                joints.append(type(joint)(left.pop(0), left.pop(0), ()))
         columns = dexterity.jacobian_columns(goal.arm, tuple(joints), goal.hold)
-        value = of(getattr(dexterity, what)(columns, goal.hold))
-        return combine(found, jnp.where(flags[k], value, 0).astype(kind))
+        return getattr(dexterity, what)(columns, goal.hold)
 
-    return jax.lax.fori_loop(0, len(goal.slots), add, jnp.zeros(goal.shape, kind))
+    if what not in goal.kept:
+        goal.kept[what] = list(jax.lax.map(measure, jnp.stack([jnp.stack(row(slot)) for slot in goal.slots])))
+    return goal.kept[what]
 
 
 def best_limit_distance(goal: Goal) -> jax.Array:

@@ -104,19 +104,23 @@ def _build(arm: Arm, name: str, orientations: int, rolls: int) -> tuple[Statisti
     inside = base != name
     slots = len(arm.branches)
     if base == "reachable":
-        lane = Lane("count", lambda goal: _any(goal.flags(inside)).astype(jnp.int32), any_roll=True)
+        lane = Lane(
+            "count", lambda goal: _any(goal.flags(inside)).astype(jnp.int32), inside=inside, any_roll=True
+        )
         return Statistic("int32", (name,), _whole), {name: lane}
     if base == "solutions":
-        lane = Lane("count", lambda goal: _number(goal.flags(inside)), most=slots)
+        lane = Lane("count", lambda goal: _number(goal.flags(inside)), most=slots, inside=inside)
         return Statistic("int32", (name,), _whole), {name: lane}
     if base == "branches":
         lanes = {
-            f"{name}.{k}": Lane("count", functools.partial(_branch, k=k, inside=inside), any_roll=True)
+            f"{name}.{k}": Lane(
+                "count", functools.partial(_branch, k=k, inside=inside), inside=inside, any_roll=True
+            )
             for k in range(slots)
         }
         return Statistic("int32", tuple(lanes), _side_by_side, (("branch", slots),)), lanes
     if base == "mask":
-        lane = Lane("bits", lambda goal: _any(goal.flags(inside)))
+        lane = Lane("bits", lambda goal: _any(goal.flags(inside)), inside=inside)
         words = -(-orientations // GROUP)
         return Statistic("uint32", (name,), lambda total: total[:, :words], (("word", words),)), {name: lane}
     if base == "best_margin":

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ikjax.study.goal import GROUP, Lane
+from ikjax.study.goal import CODE, GROUP, Goal, Lane
 
 WORD = 31
 """Bits of a word of counts."""
@@ -33,29 +33,71 @@ class Word(NamedTuple):
         """Type of its numbers, where the kernel's is `dtype`."""
         return np.dtype({"count": np.int32, "sum": np.int32, "bits": np.uint32}.get(self.reduce, dtype))
 
-    @property
-    def held(self) -> bool:
-        return self.lanes[0].held
+
+class Group(NamedTuple):
+    """Words that share one solution of every goal."""
+
+    words: tuple[Word, ...]
+    held: bool
+    """Every value is kept: joints are needed, or the kernel is too large for one loop."""
+    coded: bool
+    """Its words look at flags alone, and these travel as one number."""
+
+
+def groups_of(lanes: dict[str, Lane], rolls: int, slots: int, small: bool) -> list[Group]:
+    """The loops that lanes need.
+
+    Args:
+        lanes: By name.
+        rolls: Of each goal.
+        slots: Of the arm.
+        small: The arm's kernel can be one fused loop.
+    """
+    kinds: dict[tuple[bool, bool, str], dict[str, Lane]] = {}
+    for name, lane in lanes.items():
+        flags = lane.reduce in ("count", "bits") and not lane.held
+        held = lane.held or not small
+        # What is neither flags nor held cannot share anything.
+        apart = "" if held else f"{lane.inside}" if flags and 2 * slots > CODE else "" if flags else name
+        kinds.setdefault((held, flags, apart), {})[name] = lane
+    groups: dict[tuple[bool, str], Group] = {}
+    for (held, flags, apart), members in kinds.items():
+        words = tuple(words_of(members, rolls))
+        if held:
+            earlier = groups.get((True, ""))
+            words = (*(earlier.words if earlier else ()), *words)
+            groups[True, ""] = Group(words, True, False)
+        else:
+            # One word alone is cheaper without the number.
+            groups[False, apart or "flags"] = Group(words, False, flags and len(words) > 1)
+    return list(groups.values())
 
 
 def words_of(lanes: dict[str, Lane], rolls: int) -> list[Word]:
-    """The loops that lanes need."""
+    """Lanes packed into words."""
     words: list[Word] = []
-    open_words: dict[bool, Word] = {}
     for name, lane in lanes.items():
-        open_word = open_words.get(lane.held)
         if lane.reduce != "count":
             words.append(Word((name,), (lane,), ()))
             continue
         most = lane.most if lane.any_roll else lane.most * rolls
         width = (GROUP * most).bit_length()
-        if open_word is not None and sum(open_word.widths) + width <= WORD:
-            merged = Word((*open_word.names, name), (*open_word.lanes, lane), (*open_word.widths, width))
-            words[words.index(open_word)] = open_words[lane.held] = merged
+        last = words[-1] if words else None
+        if last is not None and last.reduce == "count" and sum(last.widths) + width <= WORD:
+            words[-1] = Word((*last.names, name), (*last.lanes, lane), (*last.widths, width))
         else:
             words.append(Word((name,), (lane,), (width,)))
-            open_words[lane.held] = words[-1]
     return words
+
+
+def value_of(word: Word, goal: Goal, dtype) -> jax.Array:
+    """The word's number of each goal."""
+    if word.reduce != "count":
+        return jnp.broadcast_to(word.lanes[0].value(goal), goal.shape).astype(word.kind(dtype))
+    code, shift = jnp.zeros(goal.shape, jnp.int32), 0
+    for lane, width in zip(word.lanes, word.widths, strict=True):
+        code, shift = code + (lane.value(goal) << shift), shift + width
+    return code
 
 
 def over_rolls(word: Word, total: jax.Array, value: jax.Array) -> jax.Array:
