@@ -87,12 +87,12 @@ def _commit() -> str:
     return f"{git('rev-parse', '--short', 'HEAD') or 'unknown'}{' with changes' if changed else ''}"
 
 
-def _table(head: list[str], rows: list[list[str]]) -> str:
+def table(head: list[str], rows: list[list[str]]) -> str:
     lines = [head, ["---"] * len(head), *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-def _figure(x: float | None, unit: str = "") -> str:
+def figure(x: float | None, unit: str = "") -> str:
     """Three figures, never in powers of ten."""
     if x is None or not math.isfinite(x):
         return ""
@@ -100,22 +100,22 @@ def _figure(x: float | None, unit: str = "") -> str:
     return f"{x:,.{digits}f}{unit}"
 
 
-def _target(text: str, met: bool | None) -> str:
+def target(text: str, met: bool | None) -> str:
     return text if met is None else f"{text}: {'met' if met else '**missed**'}"
 
 
 def _trig(rows: list[trig_rows.TrigRow]) -> str:
     head = ["function", "type", "ikjax M/s", "jnp M/s", "ratio", "target", "ikjax error", "jnp error"]
-    return _table(
+    return table(
         head,
         [
             [
                 row.name,
                 row.dtype,
-                _figure(row.ours),
-                _figure(row.theirs),
-                _figure(row.ratio, "x"),
-                _target(f">= {row.target:g}x", row.ratio >= row.target),
+                figure(row.ours),
+                figure(row.theirs),
+                figure(row.ratio, "x"),
+                target(f">= {row.target:g}x", row.ratio >= row.target),
                 f"{row.our_error:.1e}",
                 f"{row.their_error:.1e}",
             ]
@@ -131,12 +131,12 @@ def _goals(rows: list[Row]) -> str:
     body = []
     for row in rows:
         slow, fast = row.timing.rates(row.goals)
-        line = [row.what, row.arm, row.dtype, f"{row.goals:,}", _figure(row.rate)]
-        line += [f"{_figure(slow)}-{_figure(fast)}"]
-        line += [_figure(row.ratios.get(name), "x") for name in rivals]
-        line += [_target(row.target, row.met), *_counts(row.tally), row.note]
+        line = [row.what, row.arm, row.dtype, f"{row.goals:,}", figure(row.rate)]
+        line += [f"{figure(slow)}-{figure(fast)}"]
+        line += [figure(row.ratios.get(name), "x") for name in rivals]
+        line += [target(row.target, row.met), *_counts(row.tally), row.note]
         body.append(line)
-    return _table(head, body)
+    return table(head, body)
 
 
 def _counts(tally: check.Tally | None) -> list[str]:
@@ -153,7 +153,7 @@ def _compile(rows: list[Row]) -> str:
         for row in rows
         if row.compile_seconds is not None
     ]
-    return _table(["what", "arm", "type", "seconds", "of what"], lines)
+    return table(["what", "arm", "type", "seconds", "of what"], lines)
 
 
 def markdown(facts, trig, rows, sweeps, failures) -> str:

@@ -1,0 +1,69 @@
+"""Two devices in one process, and two processes of one device, against one, on the same cores."""
+
+import socket
+import statistics
+import sys
+import tempfile
+from pathlib import Path
+
+import map_growth
+import report
+
+ARM, DTYPE = "puma560", "float32"
+GOALS, QUICK = 1e9, 1e7
+ROUNDS, SWEEPS = 3, 2
+"""Processes are started anew so often, and each sweeps so often after it has compiled."""
+
+TWO = "--xla_force_host_platform_device_count=2"
+TARGET = 0.9
+
+
+def measure(given) -> str:
+    """The table, as Markdown."""
+    goals = QUICK if given.quick else GOALS
+    kinds = {
+        "1 process, 1 device": lambda place: [_start(place, goals)],
+        "1 process, 2 devices": lambda place: [_start(place, goals, TWO)],
+        "2 processes, 1 device each": lambda place: _crew(place, goals),
+    }
+    rates: dict[str, list[float]] = {name: [] for name in kinds}
+    with tempfile.TemporaryDirectory(dir=given.out.parent) as folder:
+        for _ in range(1 if given.quick else ROUNDS):
+            for name, begin in kinds.items():
+                rates[name] += _rates(
+                    [map_growth.heard(each) for each in begin(str(Path(folder) / "map.zarr"))]
+                )
+                print(f"{name}: {rates[name][-1]:.0f} M goals/s", file=sys.stderr, flush=True)
+    first, *_ = middle = [statistics.median(found) for found in rates.values()]
+    body = []
+    for (name, found), rate in zip(rates.items(), middle, strict=True):
+        share = rate / first
+        met = "" if name == next(iter(rates)) else report.target(f">= {TARGET}", share >= TARGET)
+        spread = f"{report.figure(min(found))}-{report.figure(max(found))}"
+        body.append([name, str(len(found)), report.figure(rate), spread, f"{share:.2f}", met])
+    head = ["what", "sweeps", "M goals/s", "slowest-fastest", "of one", "target"]
+    return (
+        f"## Devices and processes\n\n{ARM}, {DTYPE}, about {goals:g} goals into a store, the same two cores for "
+        f"all; from the call to its end in every process, without the compile.\n\n{report.table(head, body)}"
+    )
+
+
+def _start(place: str, goals: float, flags: str = "", crew: list | None = None):
+    asked = {"arm": ARM, "goals": goals, "dtype": DTYPE, "outs": [place] * SWEEPS, "warm": True, "crew": crew}
+    return map_growth.start(flags, **asked)
+
+
+def _crew(place: str, goals: float) -> list:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        coordinator = f"127.0.0.1:{free.getsockname()[1]}"
+    return [_start(place, goals, crew=[coordinator, 2, number]) for number in range(2)]
+
+
+def _rates(crew: list[dict]) -> list[float]:
+    """Millions of goals a second of each sweep, from when the first begins until the last ends."""
+    rates = []
+    for shares in zip(*(told["sweeps"] for told in crew), strict=True):
+        seconds = max(share["ended"] for share in shares) - min(share["begun"] for share in shares)
+        rates.append(shares[0]["goals"] / seconds / 1e6)
+    return rates

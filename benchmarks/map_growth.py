@@ -1,0 +1,125 @@
+"""How time and memory grow with the number of goals, and what storing takes of the time.
+
+A process for each size, started here: its time is that of the whole process, its memory the greatest it ever
+held. Then one process that sweeps the largest size in memory and into a store by turns.
+"""
+
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import report
+
+ARM, DTYPE = "puma560", "float32"
+SIZES, QUICK = (1e6, 1e7, 1e8, 1e9), (1e6, 3e6, 1e7, 3e7)
+PAIRS = 5
+
+
+def measure(given) -> str:
+    """Both tables, as Markdown; a picture beside."""
+    sizes = QUICK if given.quick else SIZES
+    with tempfile.TemporaryDirectory(dir=given.out.parent) as folder:
+        place = str(Path(folder) / "map.zarr")
+        grown = []
+        for goals in sizes:
+            told = child(arm=ARM, goals=goals, dtype=DTYPE, outs=[place])
+            told["disk"] = sum(file.stat().st_size for file in Path(place).rglob("*") if file.is_file())
+            grown.append(told)
+            print(f"{goals:g} goals: {told['wall']:.1f} s", file=sys.stderr, flush=True)
+        turns = child(arm=ARM, goals=sizes[-1], dtype=DTYPE, outs=[None, place] * PAIRS, warm=True)
+    draw(grown, given.pictures / "maps_growth.png")
+    return (
+        f"## Time and memory\n\n{ARM}, {DTYPE}, into a store; a process each.\n\n"
+        f"{_grown(grown)}\n\n![Time and memory against goals](../docs/maps_growth.png)\n\n"
+        f"## Storing\n\n{_storing(turns['sweeps'])}"
+    )
+
+
+def child(**asked) -> dict:
+    """What `map_child.py` says; it is let alone with its errors."""
+    return heard(start(**asked))
+
+
+def start(flags: str = "", **asked) -> subprocess.Popen:
+    """A process of `map_child.py`, with flags of XLA's."""
+    script = Path(__file__).with_name("map_child.py")
+    command = [sys.executable, str(script), json.dumps({"began": time.time(), **asked})]
+    environment = {**os.environ, "XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} {flags}".strip()}
+    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
+
+
+def heard(process: subprocess.Popen) -> dict:
+    """What a process said at its end."""
+    said, _ = process.communicate(timeout=600)
+    if process.returncode:
+        raise RuntimeError(f"{' '.join(map(str, process.args))} ended with {process.returncode}")
+    return json.loads(said)
+
+
+def _grown(grown: list[dict]) -> str:
+    head = ["goals", "whole process [s]", "sweep [s]", "M goals/s", "peak memory [MB]", "map on disk [MB]"]
+    body = []
+    for told in grown:
+        (sweep,) = told["sweeps"]
+        line = [told["wall"], sweep["seconds"], sweep["goals"] / sweep["seconds"] / 1e6]
+        line += [told["peak"] / 1e6, told["disk"] / 1e6]
+        body.append([f"{sweep['goals']:,}", *(report.figure(x) for x in line)])
+    return report.table(head, body)
+
+
+def _storing(sweeps: list[dict]) -> str:
+    """In memory against in a store, pair by pair, and where the time went."""
+    took = [sweep["ended"] - sweep["begun"] for sweep in sweeps]
+    plain, stored = sweeps[::2], sweeps[1::2]
+    ratios = [b / a - 1 for a, b in zip(took[::2], took[1::2], strict=True)]
+    names = sorted({name for sweep in sweeps for name in sweep["cpu"]})
+    cpu = {
+        name: [statistics.median(s["cpu"].get(name, 0) for s in kind) for kind in (plain, stored)]
+        for name in names
+    }
+    parts = sorted({part for sweep in stored for part in sweep["parts"]})
+    waited = {part: statistics.median(sweep["parts"].get(part, 0) for sweep in stored) for part in parts}
+    said = (
+        f"{sweeps[0]['goals']:,} goals in one process, {len(ratios)} times in memory and into a store by turns. "
+        f"Storing made the whole call longer by {statistics.median(ratios):.1%} "
+        f"(median of the pairs; {min(ratios):.1%} to {max(ratios):.1%}); "
+        f"{statistics.median(took[::2]):.2f} s in memory, {statistics.median(took[1::2]):.2f} s stored."
+    )
+    total = [sum(kind) for kind in zip(*cpu.values(), strict=True)]
+    body = [[name, f"{a:.2f}", f"{b:.2f}", f"{(b - a) / total[0]:+.1%}"] for name, (a, b) in cpu.items()]
+    body.append(["all", f"{total[0]:.2f}", f"{total[1]:.2f}", f"{total[1] / total[0] - 1:+.1%}"])
+    head = ["threads", "processor [s] in memory", "stored", "of all"]
+    waits = [[part, f"{1000 * seconds:.1f}"] for part, seconds in waited.items()]
+    waits.append(["all", f"{1000 * sum(waited.values()):.1f}"])
+    return "\n\n".join([said, report.table(head, body), report.table(["part", "kept the sweep [ms]"], waits)])
+
+
+def draw(grown: list[dict], path: Path) -> None:
+    """Time and memory against goals."""
+    from ikjax.plot.style import COLOURS, STYLE, finish, pyplot
+
+    plt = pyplot()
+    goals = [told["sweeps"][0]["goals"] for told in grown]
+    with plt.rc_context(STYLE):
+        figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained")
+        whole, swept = [told["wall"] for told in grown], [told["sweeps"][0]["seconds"] for told in grown]
+        slope = swept[-1] / goals[-1]
+        left.plot(goals, [slope * n for n in goals], color="#999999", lw=1, ls=(0, (5, 4)), zorder=1)
+        left.loglog(goals, whole, "o-", color=COLOURS[0], label="whole process, compile and all")
+        left.loglog(goals, swept, "s-", color=COLOURS[1], label="the sweep")
+        left.set(xlabel="goals", ylabel="seconds", title="Time; dashed: proportional to goals")
+        peak, disk = ([told[key] / 1e6 for told in grown] for key in ("peak", "disk"))
+        right.loglog(goals, peak, "o-", color=COLOURS[0], label="greatest memory of the process")
+        right.loglog(goals, disk, "s-", color=COLOURS[1], label="the map on disk")
+        right.axhline(1000, color="#999999", lw=1, ls=(0, (5, 4)))
+        right.set(xlabel="goals", ylabel="MB", title="Memory; dashed: one gigabyte")
+        for ax in (left, right):
+            ax.grid(True)
+            ax.legend(frameon=False, fontsize=8)
+            ax.spines[["top", "right"]].set_visible(False)
+    finish(figure, path)
