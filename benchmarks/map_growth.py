@@ -13,6 +13,7 @@ import tempfile
 import time
 from pathlib import Path
 
+import map_pictures
 import report
 
 ARM, DTYPE = "puma560", "float32"
@@ -32,7 +33,7 @@ def measure(given) -> str:
             grown.append(told)
             print(f"{goals:g} goals: {told['wall']:.1f} s", file=sys.stderr, flush=True)
         turns = child(arm=ARM, goals=sizes[-1], dtype=DTYPE, outs=[None, place] * PAIRS, warm=True)
-    draw(grown, given.pictures / "maps_growth.png")
+    map_pictures.growth(grown, given.pictures / "maps_growth.png")
     return (
         f"## Time and memory\n\n{ARM}, {DTYPE}, into a store; a process each.\n\n"
         f"{_grown(grown)}\n\n![Time and memory against goals](../docs/maps_growth.png)\n\n"
@@ -85,8 +86,8 @@ def _storing(sweeps: list[dict]) -> str:
     parts = sorted({part for sweep in stored for part in sweep["parts"]})
     waited = {part: statistics.median(sweep["parts"].get(part, 0) for sweep in stored) for part in parts}
     said = (
-        f"{sweeps[0]['goals']:,} goals in one process, {len(ratios)} times in memory and into a store by turns. "
-        f"Storing made the whole call longer by {statistics.median(ratios):.1%} "
+        f"{sweeps[0]['goals']:,} goals in one process, {len(ratios)} times in memory and into a store "
+        f"by turns. Storing made the whole call longer by {statistics.median(ratios):.1%} "
         f"(median of the pairs; {min(ratios):.1%} to {max(ratios):.1%}); "
         f"{statistics.median(took[::2]):.2f} s in memory, {statistics.median(took[1::2]):.2f} s stored."
     )
@@ -97,29 +98,3 @@ def _storing(sweeps: list[dict]) -> str:
     waits = [[part, f"{1000 * seconds:.1f}"] for part, seconds in waited.items()]
     waits.append(["all", f"{1000 * sum(waited.values()):.1f}"])
     return "\n\n".join([said, report.table(head, body), report.table(["part", "kept the sweep [ms]"], waits)])
-
-
-def draw(grown: list[dict], path: Path) -> None:
-    """Time and memory against goals."""
-    from ikjax.plot.style import COLOURS, STYLE, finish, pyplot
-
-    plt = pyplot()
-    goals = [told["sweeps"][0]["goals"] for told in grown]
-    with plt.rc_context(STYLE):
-        figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained")
-        whole, swept = [told["wall"] for told in grown], [told["sweeps"][0]["seconds"] for told in grown]
-        slope = swept[-1] / goals[-1]
-        left.plot(goals, [slope * n for n in goals], color="#999999", lw=1, ls=(0, (5, 4)), zorder=1)
-        left.loglog(goals, whole, "o-", color=COLOURS[0], label="whole process, compile and all")
-        left.loglog(goals, swept, "s-", color=COLOURS[1], label="the sweep")
-        left.set(xlabel="goals", ylabel="seconds", title="Time; dashed: proportional to goals")
-        peak, disk = ([told[key] / 1e6 for told in grown] for key in ("peak", "disk"))
-        right.loglog(goals, peak, "o-", color=COLOURS[0], label="greatest memory of the process")
-        right.loglog(goals, disk, "s-", color=COLOURS[1], label="the map on disk")
-        right.axhline(1000, color="#999999", lw=1, ls=(0, (5, 4)))
-        right.set(xlabel="goals", ylabel="MB", title="Memory; dashed: one gigabyte")
-        for ax in (left, right):
-            ax.grid(True)
-            ax.legend(frameon=False, fontsize=8)
-            ax.spines[["top", "right"]].set_visible(False)
-    finish(figure, path)

@@ -57,13 +57,18 @@ def _ragged(batch: list) -> tuple[np.ndarray, np.ndarray]:
     return answers, np.arange(most) < np.array([len(rows) for rows in batch])[:, None]
 
 
-def eaik(arm, goals: np.ndarray) -> Rival:
-    """EAIK (Ostermeier, Kuelz, Althoff 2025), C++: `IK_batched`; least-squares rows are no answers."""
+def eaik_robot(arm):
+    """EAIK's own arm."""
     dh_robot = _load("eaik.IK_DH").DhRobot
     if not check.is_plain(arm):
         raise AbsentError("the adapter knows no base, tool or joint zeros")
     dh = check.table(arm)
-    robot = dh_robot(dh["alpha"], dh["a"], dh["d"])
+    return dh_robot(dh["alpha"], dh["a"], dh["d"])
+
+
+def eaik(arm, goals: np.ndarray) -> Rival:
+    """EAIK (Ostermeier, Kuelz, Althoff 2025), C++: `IK_batched`; least-squares rows are no answers."""
+    robot = eaik_robot(arm)
     poses = [np.ascontiguousarray(T) for T in goals]
 
     def unpack(found):
