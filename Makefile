@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: sweep test suite slow long verify bench notebooks lint clean
+.PHONY: sweep test suite slow long verify bench maps notebooks lint clean
 
 sweep: $(VENV)/run.stamp            ## sweep a PUMA 560's workspace, or go on with it: a map, a picture, a summary
 	$(BIN)/ikjax sweep puma560 --spacing 0.03 --orientations 512 \
@@ -30,6 +30,9 @@ verify: $(VENV)/run.stamp           ## every arm of the catalogue, judged on 10^
 
 bench: $(VENV)/rivals.stamp         ## against the rivals, on the same goals
 	$(BIN)/python benchmarks/run.py --out benchmarks/RESULTS.md --json out/bench.json
+
+maps: $(VENV)/rivals.stamp          ## what maps cost, and against sampled ones: a quarter of an hour, alone
+	$(BIN)/python benchmarks/maps.py all --out benchmarks/MAPS.md --pictures docs
 
 notebooks: $(VENV)/dev.stamp        ## run the notebooks again and keep their pictures
 	$(BIN)/python notebooks/build.py

@@ -43,8 +43,8 @@ def measure(given) -> str:
         body.append([name, str(len(found)), report.figure(rate), spread, f"{share:.2f}", met])
     head = ["what", "sweeps", "M goals/s", "slowest-fastest", "of one", "target"]
     return (
-        f"## Devices and processes\n\n{ARM}, {DTYPE}, about {goals:g} goals into a store, the same cores for all; "
-        f"from the call to its end in every process, without the compile.\n\n{report.table(head, body)}"
+        f"## Devices and processes\n\n{ARM}, {DTYPE}, about {goals:g} goals into a store, the same cores for "
+        f"all; from the call to its end in every process, without the compile.\n\n{report.table(head, body)}"
     )
 
 

@@ -49,7 +49,10 @@ def sampled(ours, shown: list, path: Path) -> None:
     with plt.rc_context(STYLE):
         width = 1 + len(shown)
         figure, axes = plt.subplots(2, width, figsize=(2.9 * width, 5.9), layout="constrained")
-        maps = [("ours: every cell solved", truth), *((f"{n:,} samples", share) for n, share, _ in shown)]
+        maps = [
+            ("ours: every cell solved", truth),
+            *((f"{_power(n)} samples", share) for n, share, _ in shown),
+        ]
         for ax, (title, share) in zip(axes[0], maps, strict=True):
             flat = share[:, layer].T
             image = ax.imshow(np.ma.masked_equal(flat, 0), cmap=MAP, vmin=0, vmax=1, **settings)
@@ -60,7 +63,7 @@ def sampled(ours, shown: list, path: Path) -> None:
             missed = np.where((share == 0) & (truth > 0), 1.0, np.nan)[:, layer]
             at = np.argwhere(missed == 1)
             ax.plot(x[at[:, 0]], z[at[:, 1]], ".", color="black", ms=2)
-            ax.set_title(f"{errors['cells missed']:.1%} of cells missed", loc="left")
+            ax.set_title("{cells missed:.1%} missed, {cells more:.1%} more".format(**errors), loc="left")
         for ax in (*axes[0], *axes[1, 1:]):
             ax.set(aspect="equal", xticks=(-0.5, 0, 0.5), yticks=(-0.5, 0, 0.5))
         axes[0, 0].set(xlabel="x [m]", ylabel="z [m]")
@@ -79,3 +82,9 @@ def _errors(ax, shown: list) -> None:
     ax.legend(frameon=False, fontsize=7)
     ax.grid(True)
     ax.spines[["top", "right"]].set_visible(False)
+
+
+def _power(n: int) -> str:
+    """10^6 where it is one, else its digits."""
+    digits = str(n)
+    return f"$10^{len(digits) - 1}$" if digits == "1" + "0" * (len(digits) - 1) else f"{n:,}"

@@ -10,7 +10,7 @@ import report
 import ikjax
 
 RUNS = 5
-GOALS = {"puma560": 3e8, "ur5": 1e8, "ur5e": 1e8, "quartic": 3e7, "so101": 5e7}
+GOALS = {"puma560": 3e8, "ur5": 1e8, "ur5e": 5e7, "quartic": 1.5e7, "so101": 5e7}
 QUICK = 2e6
 TARGETS = {
     ("puma560", "float32"): 80,

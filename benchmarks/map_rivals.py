@@ -21,6 +21,7 @@ LEVEL = 1
 SAMPLES, SAMPLES_QUICK = (10**6, 10**7, 10**8, 10**9), (10**5, 10**6, 10**7)
 RUNS = 3
 ERRORS = ("positions missed", "positions more", "cells missed", "cells more", "dexterity off by")
+OWN = "cells missed, met later"
 
 
 def measure(given) -> str:
@@ -94,7 +95,7 @@ def _sampled(arm, given) -> str:
     _, usual = swept(arm, grid, orientations, ("reachable_within",))
     truth = ours.reached()
     theirs = map_sampled.Sampler(arm, grid, orientations)
-    body, shown = [], []
+    body, shown, kept = [], [], []
     for count in samples:
         theirs.until(count)
         marks = theirs.marks()
@@ -103,17 +104,12 @@ def _sampled(arm, given) -> str:
         rates = [theirs.samples / theirs.seconds / 1e6, theirs.seconds / own]
         body.append([f"{theirs.samples:,}", f"{theirs.seconds:.2f}", *(report.figure(x) for x in rates)])
         body[-1] += [f"{errors[key]:.2%}" for key in ERRORS]
+        kept.append(marks.copy())
         print(" | ".join(body[-1]), file=sys.stderr, flush=True)
+    for line, marks in zip(body, kept, strict=True):
+        line.append(f"{compare(kept[-1] | truth, marks)['cells missed']:.2%}")
     map_pictures.sampled(ours, shown, given.pictures / "maps_sampled.png")
-    head = [
-        "samples",
-        "seconds",
-        "M samples/s",
-        "x our time",
-        "positions missed",
-        "cells missed",
-        "cells more",
-    ]
+    head = ["samples", "seconds", "M samples/s", "x our time", *ERRORS, OWN]
     return (
         f"{arm.name}, {truth.size:,} cells ({grid.count:,} positions {1000 * grid.spacing:.0f} mm apart x "
         f"{orientations.count} orientations), within the joint limits. Ours: {own:.2f} s, "
