@@ -95,13 +95,14 @@ def page(reach: ReachMap, then: ReachMap | None = None, name: str = "map.zarr") 
 
 def repeat(reach: ReachMap, name: str) -> str:
     """Commands that make a map again."""
+    certify = " certify=True," if spec.is_certified(reach.told) else ""
     few = isinstance(reach.directions, Even | Cone)
     which = repr(reach.directions) if few else f"{reach.orientations:,} rotations"
     return f"""\
 # in Python: the same arm, positions and orientations ({which})
 import ikjax
 old = ikjax.ReachMap.load({name!r})
-new = ikjax.sweep(old.arm, old.grid, old.directions, rolls={reach.rolls}, dtype={reach.dtype!r},
+new = ikjax.sweep(old.arm, old.grid, old.directions, rolls={reach.rolls}, dtype={reach.dtype!r},{certify}
                   statistics={list(reach.told)!r}, out="again.zarr")
 assert all((new.to_numpy()[k] == v).all() for k, v in old.to_numpy().items())
 

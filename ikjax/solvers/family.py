@@ -47,6 +47,8 @@ class Slot(NamedTuple):
     continuum: jax.Array
     position_error: Scalar
     rotation_error: Scalar
+    miss_squared: Scalar
+    """Square of the larger error, in tolerances: valid slots have at most 1."""
 
 
 class Frame(NamedTuple):
@@ -191,6 +193,7 @@ def solve_scalars(
                 branch.continuum,
                 frame.reach * safe.sqrt(gap_squared),
                 2 * atan2(half, safe.sqrt((1 - half) * (1 + half))),
+                jnp.maximum(gap_squared / (allowed * allowed), turn_squared / (2 * tolerance**2)),
             )
         )
     return tuple(slots)

@@ -12,14 +12,15 @@ import jax.numpy as jnp
 from ikjax.arm.arm import Arm
 from ikjax.solvers.branch import in_bits
 from ikjax.solvers.family import Slot
+from ikjax.study.doubt import any_doubtful
 from ikjax.study.limits import within
 
 GROUP = 32
 """Goals that are added up in 32 bits before anything else happens to them."""
 
 
-CODE = 24
-"""Bits of a number of either type without rounding."""
+DOUBT = "doubt"
+"""The lane of doubtful goals."""
 
 
 class Goal(NamedTuple):
@@ -41,19 +42,27 @@ class Goal(NamedTuple):
             return [slot.valid for slot in self.slots]
         return [slot.valid & within(self.arm, slot) for slot in self.slots]
 
-    def coded(self, kinds: Sequence[bool]) -> "Goal":
+    def doubt(self) -> jax.Array:
+        """Whether another rounding may make other flags."""
+        if DOUBT not in self.kept:
+            self.kept[DOUBT] = any_doubtful(self.arm, self.slots)
+        return self.kept[DOUBT]
+
+    def coded(self, kinds: Sequence[bool], doubt: bool) -> "Goal":
         """The same goal, with its flags read from one number that is made once.
 
         Args:
-            kinds: Which flags: without limits, within them. There are at most `CODE` of them in all.
+            kinds: Which flags: without limits, within them.
+            doubt: Whether doubts are read too.
         """
         flags = [flag for inside in kinds for flag in self.flags(inside)]
+        flags += [self.doubt()] if doubt else []
         dtype = self.slots[0].margin.dtype
         code = self.hold(jnp.broadcast_to(in_bits(flags, dtype), self.shape)).astype(jnp.int32)
         read = [(code >> k & 1) == 1 for k in range(len(flags))]
         count = len(self.slots)
         parts = {inside: read[k * count : (k + 1) * count] for k, inside in enumerate(kinds)}
-        return self._replace(kept={**self.kept, **parts})
+        return self._replace(kept={**self.kept, **parts, **({DOUBT: read[-1]} if doubt else {})})
 
 
 class Lane(NamedTuple):
@@ -70,3 +79,8 @@ class Lane(NamedTuple):
     """Of a count: over free rolls it is a yes or no, and not a sum."""
     held: bool = False
     """Needs joints, not only masks: the kernel keeps its values instead of computing them again."""
+
+    @property
+    def added(self) -> bool:
+        """Whether a goal's number can be taken out of the total again."""
+        return self.reduce in ("count", "sum", "bits")

@@ -1,62 +1,36 @@
-"""The loop of a sweep: positions with every orientation, reduced inside one fused loop.
+"""A sweep's program, compiled once for an arm, its sets and its statistics, and called again and again.
 
 Storey: study. Whole numbers go in, which say what positions and orientations, and nothing but totals
-comes out. A loop with one result is fused and a loop with four is computed four times: so what counts a
-goal's slots shares one number of that goal, the bits of its slots, and what needs joints shares a loop in
-which every value is kept.
+comes out.
 """
 
 import dataclasses
 import functools
-import itertools
 import time
 from collections.abc import Callable
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from ikjax.arm.arm import Arm
-from ikjax.core import vector
-from ikjax.core.pose import Pose
 from ikjax.ik.blocks import wide_vectors
-from ikjax.ik.graph import holder, is_small
-from ikjax.solvers.family import solve_scalars
+from ikjax.ik.graph import is_small
 from ikjax.study import spec
-from ikjax.study.goal import GROUP, Goal
+from ikjax.study.certify import Certifier, lanes_of, program
+from ikjax.study.goal import GROUP
+from ikjax.study.loop import BLOCKS, CALL, ORIENTATIONS, POSITIONS, loop
 from ikjax.study.orientations import Orientations
 from ikjax.study.statistics import Plan
-from ikjax.study.surface import Surface
-from ikjax.study.words import (
-    JOIN,
-    Group,
-    Word,
-    added,
-    blank,
-    groups_of,
-    over_rolls,
-    reduced,
-    start,
-    value_of,
-)
+from ikjax.study.words import JOIN, Word, groups_of
 
-POSITIONS, ORIENTATIONS = 64, 512
-"""Goals in a tile: so many positions with so many orientations each."""
-
-FEW = 8
-"""Positions of a tile whose values are held, so that they fit the cache."""
-
-BLOCKS, TILES = 64, 64
-"""At most so many blocks of positions, with so many tiles of orientations each, in one call; between calls
-there is progress to show."""
-
-CALL = POSITIONS * BLOCKS
-"""At most so many positions in one call."""
+TILES = 64
+"""At most so many tiles of orientations of each block of positions in one call; between calls there is
+progress to show."""
 
 _KEPT = 8
-_compiled: dict[str, Callable] = {}
+_compiled: dict[str, tuple[Callable, Callable | None]] = {}
 
 
 @dataclasses.dataclass
@@ -76,6 +50,7 @@ class Kernel:
     devices: int
     blocks: int = BLOCKS
     """Of positions on each device in one call."""
+    certifier: Certifier | None = None
 
     @property
     def positions(self) -> int:
@@ -107,9 +82,9 @@ class Kernel:
         tiles = np.int32(min(self.tiles, left))
         return self.compiled(self.tables, full.reshape(-1, self.axes), np.int32(first), blocks, tiles)
 
-    def fetched(self, result: tuple[jax.Array, ...], count: int, first: int) -> dict[str, np.ndarray]:
-        """Totals of each lane, (count, k), of a call that is done."""
-        totals: dict[str, np.ndarray] = {}
+    def fetched(self, result: tuple[jax.Array, ...], index: np.ndarray, first: int) -> dict[str, np.ndarray]:
+        """Totals of each lane, (n, k), of a call that is done; arguments as in `begin`."""
+        count, totals = len(index), dict[str, np.ndarray]()
         for word, array in zip(self.words, jax.device_get(result), strict=True):
             rows = np.asarray(array).reshape(self.devices, CALL, -1)[:, : self._share(count)]
             rows = rows.reshape(-1, rows.shape[-1])[:count]
@@ -123,6 +98,8 @@ class Kernel:
                 totals[word.names[0]] = rows[:, : -(-left // GROUP)]
             else:
                 totals[word.names[0]] = rows
+        if self.certifier is not None:
+            self.certifier.mend(totals, index, first)
         return totals
 
     def together(self, one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -152,9 +129,9 @@ def kernel_of(arm: Arm, positions, orientations: Orientations, rolls: int, dtype
 
     Positions are shared out over this process's devices, each of which runs the same program.
     """
-    arm = arm.astype(dtype).baked()
+    given, arm = arm, arm.astype(dtype).baked()
     place, turn = positions.tables(dtype), orientations.tables(dtype)
-    groups = groups_of(plan.lanes, rolls, len(arm.branches), is_small(arm))
+    groups = groups_of(plan.lanes, rolls, is_small(arm), plan.certify)
     words = [word for group in groups for word in group.words]
     devices = jax.local_devices()
     mesh = Mesh(np.array(devices), ("goals",))
@@ -174,104 +151,28 @@ def kernel_of(arm: Arm, positions, orientations: Orientations, rolls: int, dtype
     if key not in _compiled:
         while len(_compiled) >= _KEPT:
             _compiled.pop(next(iter(_compiled)))
-        loop = functools.partial(_loop, arm, positions, orientations, rolls, dtype, groups, (tiles, width))
+        each = functools.partial(loop, arm, positions, orientations, rolls, dtype, groups, (tiles, width))
         shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), (place, turn))
         index = jax.ShapeDtypeStruct((len(devices) * CALL, len(positions.shape)), np.int32)
         numbers = [jax.ShapeDtypeStruct((), np.int32)] * 3
         shared, whole = PartitionSpec("goals"), PartitionSpec()
         places = (whole, shared, whole, whole, whole)
         # What is the same on all devices is so by its making; nothing is exchanged.
-        spread = jax.shard_map(loop, mesh=mesh, in_specs=places, out_specs=shared, check_vma=False)
+        spread = jax.shard_map(each, mesh=mesh, in_specs=places, out_specs=shared, check_vma=False)
         jitted = jax.jit(
             spread,
             in_shardings=tuple(NamedSharding(mesh, place) for place in places),
             out_shardings=NamedSharding(mesh, shared),
             compiler_options=wide_vectors(),
         )
-        _compiled[key] = jitted.lower(shapes, index, *numbers).compile()
+        again = lanes_of(groups)
+        solved = program(given, positions, orientations, rolls, again) if again else None
+        _compiled[key] = jitted.lower(shapes, index, *numbers).compile(), solved
+    compiled, solved = _compiled[key]
     tables = jax.device_put((place, turn), NamedSharding(mesh, PartitionSpec()))
-    return Kernel(
-        _compiled[key], tables, words, orientations.count, width, len(positions.shape), tiles, len(devices)
+    kernel = Kernel(
+        compiled, tables, words, orientations.count, width, len(positions.shape), tiles, len(devices)
     )
-
-
-def _loop(arm, positions, orientations, rolls, dtype, groups, size, tables, index, first, blocks, tiles):
-    """Totals of every word, (CALL, k)."""
-    most, width = size
-    count = orientations.count
-    columns = tuple(index[:, k] for k in range(index.shape[1]))
-    place = positions.at(tables[0], columns, jnp, dtype)
-    frame = positions.frame_at(tables[0], columns) if isinstance(positions, Surface) else None
-    places = jnp.stack([jnp.broadcast_to(x, (CALL,)) for x in (*place, *sum(frame or (), ()))])
-    turn = jnp.minimum(first, count - 1) + jnp.arange(most * width, dtype=jnp.int32)
-    real = (turn < count).reshape(most, 1, width)
-    rows = orientations.at(tables[1], jnp.minimum(turn, count - 1), jnp, dtype)
-    # As arrays that the loops below are handed: inside them it would be made again for every goal.
-    table = jnp.stack([jnp.broadcast_to(x, turn.shape) for row in rows for x in row])
-    table = jnp.moveaxis(table.reshape(9, most, width), 1, 0)
-
-    def total(group: Group) -> tuple[jax.Array, ...]:
-        deep = FEW if any(lane.held for word in group.words for lane in word.lanes) else POSITIONS
-
-        def block(b, wholes):
-            here = jax.lax.dynamic_slice_in_dim(places, b * deep, deep, 1)[:, :, None]
-
-            def tile(t, totals):
-                r = jax.lax.dynamic_index_in_dim(table, t, keepdims=False)[:, None, :]
-                rotation = _rows([r[k] for k in range(9)])
-                if frame is not None:
-                    rotation = vector.matmul(_rows([here[k] for k in range(3, 12)]), rotation)
-                goal = Pose(rotation, tuple(here[k] for k in range(3)))
-                # Where tiles are full there is nothing to leave out, and XLA sees more.
-                mask = jax.lax.dynamic_index_in_dim(real, t, keepdims=False) if count % width else None
-                values = _over_rolls(arm, group, goal, rolls, dtype, (deep, width))
-                found = zip(group.words, totals, values, strict=True)
-                return tuple(
-                    added(word, total, reduced(word, value, mask), t) for word, total, value in found
-                )
-
-            parts = tuple(start(word, deep, most * width, dtype) for word in group.words)
-            # A loop of one turn costs a tenth of the whole.
-            parts = tile(0, parts) if most == 1 else jax.lax.fori_loop(0, tiles, tile, parts)
-            placed = zip(wholes, parts, strict=True)
-            return tuple(jax.lax.dynamic_update_slice_in_dim(*pair, b * deep, 0) for pair in placed)
-
-        wholes = tuple(start(word, CALL, most * width, dtype) for word in group.words)
-        return jax.lax.fori_loop(0, blocks * (POSITIONS // deep), block, wholes)
-
-    return tuple(itertools.chain.from_iterable(map(total, groups)))
-
-
-def _rows(nine: list[jax.Array]) -> vector.Matrix:
-    return tuple(tuple(nine[3 * i : 3 * i + 3]) for i in range(3))
-
-
-def _over_rolls(arm: Arm, group: Group, goal: Pose, rolls: int, dtype, shape) -> tuple[jax.Array, ...]:
-    """The numbers of each goal, (positions, orientations), over all rolls about its own z axis."""
-
-    def values(rotation) -> tuple[jax.Array, ...]:
-        like = jnp.broadcast_to(rotation[0][0] + goal.position[0], shape)
-        hold = holder(like)
-        slots = solve_scalars(arm, Pose(rotation, goal.position), hold=hold if group.held else None)
-        seen = Goal(arm, slots, hold, shape, {})
-        if group.coded:
-            seen = seen.coded(sorted({lane.inside for word in group.words for lane in word.lanes}))
-        return tuple(value_of(word, seen, dtype) for word in group.words)
-
-    if rolls == 1:
-        return values(goal.rotation)
-    steps = np.arange(rolls) * (2 * np.pi / rolls)
-    turns = jnp.asarray(np.stack([np.cos(steps), np.sin(steps)], -1).astype(dtype))
-
-    def roll(k, totals):
-        c, s = turns[k, 0], turns[k, 1]
-        x, y, z = vector.transpose(goal.rotation)
-        turned = (
-            vector.add(vector.scale(c, x), vector.scale(s, y)),
-            vector.subtract(vector.scale(c, y), vector.scale(s, x)),
-            z,
-        )
-        found = zip(group.words, totals, values(vector.transpose(turned)), strict=True)
-        return tuple(over_rolls(word, total, value) for word, total, value in found)
-
-    return jax.lax.fori_loop(0, rolls, roll, tuple(blank(word, shape, dtype) for word in group.words))
+    if solved is not None:
+        kernel.certifier = Certifier.of(solved, positions, orientations, groups)
+    return kernel

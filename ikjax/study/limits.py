@@ -13,7 +13,7 @@ from ikjax.arm.forward import links
 from ikjax.solvers.family import Slot
 
 
-def within(arm: Arm, slot: Slot) -> jax.Array:
+def within(arm: Arm, slot: Slot, slack: float | None = None) -> jax.Array:
     """Whether whole turns can bring every joint of a slot between its limits.
 
     An angle lies between two others when it is left of the one and right of the other, by the sign
@@ -22,10 +22,11 @@ def within(arm: Arm, slot: Slot) -> jax.Array:
     Args:
         arm: A baked arm.
         slot: One of its slots.
+        slack: So far beyond a limit is still within [rad, m]; by default what rounding takes.
     """
+    slack = 8 * float(jnp.finfo(arm.dtype).eps) if slack is None else slack
     if arm.coupling is not None:
-        return _by_value(arm, slot)
-    slack = 8 * float(jnp.finfo(arm.dtype).eps)
+        return _by_value(arm, slot, slack)
     inside = jnp.asarray(True)
     rows = zip(links(arm), slot.joints, slot.q, arm.limits.tolist(), strict=True)
     for link, joint, value, (lower, upper) in rows:
@@ -42,7 +43,7 @@ def within(arm: Arm, slot: Slot) -> jax.Array:
             between = (past_first >= -slack) & (before_last >= -slack)
             # A short arc has an opposite one, where both signs are right for a limit met exactly.
             middle = (first + last) / 2
-            between &= joint.cos * math.cos(middle) + joint.sin * math.sin(middle) > 0
+            between &= joint.cos * math.cos(middle) + joint.sin * math.sin(middle) > -max(slack, 0)
         else:
             between = (past_first >= -slack) | (before_last >= -slack)
         inside = inside & between
@@ -74,9 +75,8 @@ def distance(arm: Arm, slot: Slot) -> jax.Array:
     return least
 
 
-def _by_value(arm: Arm, slot: Slot) -> jax.Array:
+def _by_value(arm: Arm, slot: Slot, slack: float) -> jax.Array:
     """The same for coupled joints, whose limits are those of the motors."""
-    slack = 8 * float(jnp.finfo(arm.dtype).eps)
     inside = jnp.asarray(True)
     for kind, value, (lower, upper) in zip(arm.kinds, slot.q, arm.limits.tolist(), strict=True):
         if kind == "R" and upper - lower >= 2 * math.pi:

@@ -192,8 +192,9 @@ class ReachMap:
                 f"  limits cost       {n['goals_reachable']:.1%} of goals fall to "
                 f"{n['goals_reachable_within']:.1%}"
             )
+        kind = f"{self.dtype}{', certified in float64' if spec.is_certified(self.told) else ''}"
         lines.append(
-            f"  speed             {n['goals_per_second'] / 1e6:.1f} million goals/s, {self.dtype}, "
+            f"  speed             {n['goals_per_second'] / 1e6:.1f} million goals/s, {kind}, "
             f"{n['seconds']:.2f} s"
         )
         return "\n".join(lines)

@@ -15,6 +15,7 @@ own folder.
     statistics = ["reachable", ...] # see `statistics`
     chunk = [32, 32, 32]            # positions of a work unit
     dtype = "float32"               # or "float64"
+    certify = true                  # goals that float32 is not sure of again in float64; false by default
 """
 
 import dataclasses
@@ -36,7 +37,7 @@ from ikjax.study.surface import Surface, surface
 
 KEYS = (
     *("arm", "spacing", "orientations", "rolls", "bounds", "shell", "surface"),
-    *("limits", "statistics", "chunk", "dtype"),
+    *("limits", "statistics", "chunk", "dtype", "certify"),
 )
 LARGEST = 2**24
 """Bytes of a file."""
@@ -52,6 +53,7 @@ class Recipe(NamedTuple):
     statistics: tuple[str, ...]
     chunk: tuple[int, ...] | None
     dtype: str
+    certify: bool = False
 
 
 def read(path) -> Recipe:
@@ -102,6 +104,11 @@ def _understood(said: dict, folder: pathlib.Path) -> Recipe:
     dtype = said.get("dtype", "float32")
     if dtype not in ("float32", "float64"):
         raise ValueError(f'dtype must be "float32" or "float64", got {dtype!r}')
+    certify = said.get("certify", False)
+    if not isinstance(certify, bool) or (certify and dtype != "float32"):
+        raise ValueError(
+            f"certify must be true or false, and with float32 only, got {certify!r} with {dtype}"
+        )
     chunk = said.get("chunk")
     axes = len(positions.shape)
     if chunk is not None and not (
@@ -109,7 +116,8 @@ def _understood(said: dict, folder: pathlib.Path) -> Recipe:
     ):
         raise ValueError(f"chunk must be {axes} whole numbers above zero, got {chunk!r}")
     chunk = None if chunk is None else tuple(chunk)
-    return Recipe(arm, positions, _orientations(said["orientations"]), rolls, tuple(statistics), chunk, dtype)
+    turns = _orientations(said["orientations"])
+    return Recipe(arm, positions, turns, rolls, tuple(statistics), chunk, dtype, certify)
 
 
 def _positions(said: dict, arm: Arm, folder: pathlib.Path) -> Grid | Shell | Surface:

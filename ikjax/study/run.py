@@ -126,7 +126,7 @@ def _computed(
         while not all(array.is_ready() for array in result):
             ask(False)
             time.sleep(0.001)
-        fetched = kernel.fetched(result, len(batch), first)
+        fetched = kernel.fetched(result, batch, first)
         totals = fetched if first == 0 else kernel.together(totals, fetched)
         if first == kernel.firsts()[-1]:
             yield _records(plan, totals, len(batch))

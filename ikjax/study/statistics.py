@@ -57,6 +57,8 @@ class Plan(NamedTuple):
 
     statistics: dict[str, Statistic]
     lanes: dict[str, Lane]
+    certify: bool = False
+    """Doubtful goals are solved again in float64."""
 
     def told(self) -> dict[str, dict[str, Any]]:
         """What the spec says of each."""
@@ -80,6 +82,24 @@ def plan(arm: Arm, wanted: Iterable[str | Measure], orientations: int, rolls: in
     }
     lanes = {key: lane for statistic, given in built.values() for key, lane in given.items()}
     return Plan({name: statistic for name, (statistic, _) in built.items()}, lanes)
+
+
+def certified(plan: Plan) -> Plan:
+    """The same, with doubtful goals solved again in float64.
+
+    Raises:
+        ValueError: No statistic is of numbers that are added up.
+    """
+    if not any(lane.added for lane in plan.lanes.values()):
+        raise ValueError(f"certify needs a statistic that counts, got {', '.join(plan.statistics)}")
+    mark = {"certified": True}
+    again = {
+        name: statistic._replace(facts={**statistic.facts, **mark})
+        if any(plan.lanes[lane].added for lane in statistic.lanes)
+        else statistic
+        for name, statistic in plan.statistics.items()
+    }
+    return Plan(again, plan.lanes, certify=True)
 
 
 def available(arm: Arm) -> list[str]:

@@ -42,6 +42,7 @@ def sweep(
     *,
     rolls: int = 1,
     dtype=None,
+    certify: bool = False,
     statistics: Iterable[str | Measure] = statistics.USUAL,
     out=None,
     resume: bool = False,
@@ -61,6 +62,10 @@ def sweep(
         rolls: Where the tool may turn about its own z axis: so many turns of each orientation are tried, and
             it counts as reached if one of them is. Solutions are then those of all turns.
         dtype: float32 or float64 of the kernel; by default the arm's.
+        certify: Of a float32 sweep: solve those goals again in float64 of which float32 cannot say for sure
+            which solutions there are: near a fold, a singularity or a limit. All that is added up is then as
+            in a float64 sweep; greatest and least values stay those of float32. Needs jax_enable_x64;
+            on a CPU it is no faster than float64 (`benchmarks/certified.py`).
         statistics: Which to keep, by name or as `ikjax.Measure(...)`: see `study.statistics`. What is not
             asked for is not computed.
         out: A folder, or a URL that tensorstore knows, where the map is stored unit by unit.
@@ -84,9 +89,9 @@ def sweep(
         StorageError: The store cannot be written; the units before that are whole.
         SweepStoppedError: `stop` gave a reason.
     """
-    dtype = _checked(arm, positions, rolls, dtype)
+    dtype = _checked(arm, positions, rolls, dtype, certify)
     turns = as_orientations(orientations)
-    plan = _plan(arm, statistics, turns, rolls)
+    plan = _plan(arm, statistics, turns, rolls, certify)
     fixed = layout.fixed(positions, turns)
     study = spec.of_study(arm, positions, turns, rolls, dtype.name, plan.told(), fixed)
     kernel = kernel_of(arm, positions, turns, rolls, dtype, plan)
@@ -149,7 +154,7 @@ def _opened(place: Place, head: layout.Head, fixed: spec.Fixed, begin: Callable[
         yield crew, disk, flags.astype(bool).tolist(), units, diary
 
 
-def _checked(arm: Arm, positions, rolls: int, dtype) -> np.dtype:
+def _checked(arm: Arm, positions, rolls: int, dtype, certify: bool) -> np.dtype:
     check_family(arm)
     if arm.task.startswith("planar"):
         raise ValueError(
@@ -166,18 +171,24 @@ def _checked(arm: Arm, positions, rolls: int, dtype) -> np.dtype:
         )
     if isinstance(rolls, bool) or not isinstance(rolls, int) or not 1 <= rolls <= MOST_ROLLS:
         raise ValueError(f"rolls must be a whole number from 1 to {MOST_ROLLS}, got {rolls}")
-    if jnp.zeros((), dtype).dtype != dtype:
-        raise ValueError(f"dtype {dtype} needs jax_enable_x64")
+    if certify and dtype != np.float32:
+        raise ValueError(f"certify is for float32 sweeps, got dtype {dtype}, which needs none")
+    needed = np.dtype(np.float64) if certify else dtype
+    if jnp.zeros((), needed).dtype != needed:
+        raise ValueError(f"{'certify' if certify else f'dtype {dtype}'} needs jax_enable_x64")
     return dtype
 
 
-def _plan(arm: Arm, names: Iterable[str | Measure], turns: Orientations, rolls: int) -> statistics.Plan:
+def _plan(
+    arm: Arm, names: Iterable[str | Measure], turns: Orientations, rolls: int, certify: bool
+) -> statistics.Plan:
     # Solutions of a position are counted in 31 bits.
     most = turns.count * rolls * len(arm.branches)
     if most >= 2**31:
         raise ValueError(f"orientations x rolls x branches must be below 2^31, got {most:,}")
     given = [names] if isinstance(names, str | Measure) else names
-    return statistics.plan(arm, given, turns.count, rolls)
+    plan = statistics.plan(arm, given, turns.count, rolls)
+    return statistics.certified(plan) if certify else plan
 
 
 def _chunk(chunk, shape: tuple[int, ...], orientations: int, kernel: Kernel) -> tuple[int, ...]:

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ikjax.study.goal import CODE, GROUP, Goal, Lane
+from ikjax.study.goal import DOUBT, GROUP, Goal, Lane
 
 WORD = 31
 """Bits of a word of counts."""
@@ -42,35 +42,37 @@ class Group(NamedTuple):
     """Every value is kept: joints are needed, or the kernel is too large for one loop."""
     coded: bool
     """Its words look at flags alone, and these travel as one number."""
+    doubt: str | None = None
+    """The lane of goals that are left out of what is added up."""
 
 
-def groups_of(lanes: dict[str, Lane], rolls: int, slots: int, small: bool) -> list[Group]:
+def groups_of(lanes: dict[str, Lane], rolls: int, small: bool, certify: bool = False) -> list[Group]:
     """The loops that lanes need.
 
     Args:
         lanes: By name.
         rolls: Of each goal.
-        slots: Of the arm.
         small: The arm's kernel can be one fused loop.
+        certify: Leave doubtful goals out of what is added up, and say which they are.
     """
-    kinds: dict[tuple[bool, bool, str], dict[str, Lane]] = {}
+    flags, joints, apart = {}, {}, []
     for name, lane in lanes.items():
-        flags = lane.reduce in ("count", "bits") and not lane.held
-        held = lane.held or not small
-        # What is neither flags nor held cannot share anything.
-        apart = "" if held else f"{lane.inside}" if flags and 2 * slots > CODE else "" if flags else name
-        kinds.setdefault((held, flags, apart), {})[name] = lane
-    groups: dict[tuple[bool, str], Group] = {}
-    for (held, flags, apart), members in kinds.items():
-        words = tuple(words_of(members, rolls))
-        if held:
-            earlier = groups.get((True, ""))
-            words = (*(earlier.words if earlier else ()), *words)
-            groups[True, ""] = Group(words, True, False)
+        if lane.held or not small:
+            joints[name] = lane
+        elif lane.reduce in ("count", "bits"):
+            flags[name] = lane
         else:
-            # One word alone is cheaper without the number.
-            groups[False, apart or "flags"] = Group(words, False, flags and len(words) > 1)
-    return list(groups.values())
+            apart.append(Group((Word((name,), (lane,), ()),), held=False, coded=False))
+    groups: list[Group] = []
+    for members, held in ((flags, False), (joints, True)):
+        doubt = None
+        if certify and any(lane.added for lane in members.values()):
+            doubt = f"{DOUBT}.{len(groups)}"
+            members = members | {doubt: Lane("bits", Goal.doubt)}
+        words = tuple(words_of(members, rolls))
+        # One word alone is cheaper without the number.
+        groups += [Group(words, held, not held and len(words) > 1, doubt)] if words else []
+    return groups + apart
 
 
 def words_of(lanes: dict[str, Lane], rolls: int) -> list[Word]:
@@ -114,6 +116,19 @@ def over_rolls(word: Word, total: jax.Array, value: jax.Array) -> jax.Array:
         shift += width
     counts = jnp.int32(added)
     return ((total & counts) + (value & counts)) | ((total | value) & ~counts)
+
+
+def without_doubtful(group: Group, values: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+    """The same numbers, of doubtful goals nothing where numbers are added up."""
+    if group.doubt is None:
+        return values
+    found = list(zip(group.words, values, strict=True))
+    out = next(value for word, value in found if group.doubt in word.names) == 1
+    keeps = [group.doubt in word.names or not word.lanes[0].added for word, _ in found]
+    return tuple(
+        value if keep else jnp.where(out, blank(word, (), value.dtype), value)
+        for keep, (word, value) in zip(keeps, found, strict=True)
+    )
 
 
 def reduced(word: Word, value: jax.Array, real: jax.Array | None) -> jax.Array:

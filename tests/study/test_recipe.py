@@ -22,7 +22,7 @@ def read(tmp_path):
 def test_a_short_study_takes_the_defaults(read):
     study = read(SHORT)
     assert study.arm.name == "ur5" and study.positions == ikjax.around(study.arm, 0.5)
-    assert study[2:] == (8, 1, STATISTICS, None, "float32")
+    assert study[2:] == (8, 1, STATISTICS, None, "float32", False)
 
 
 def test_a_study_can_say_everything(read, tmp_path):
@@ -49,6 +49,7 @@ def test_a_study_can_say_everything(read, tmp_path):
         and study.rolls == 3
     )
     assert np.isinf(read(SHORT + "limits = false").arm.limits).all()
+    assert read(SHORT + "certify = true").certify
 
 
 def test_a_study_names_shells_surfaces_cones_and_grids_of_rotations(read, tmp_path):
@@ -97,6 +98,8 @@ def test_a_urdf_file_is_looked_for_beside_the_study(read, tmp_path):
         (SHORT + 'statistics = ["reach"]', "statistics must be a list of reachable, "),
         (SHORT + "chunk = [0, 1, 1]", "chunk must be 3 whole numbers above zero"),
         (SHORT + "chunk = [1.5, 1, 1]", "chunk must be 3 whole numbers above zero"),
+        (SHORT + "certify = 1", "certify must be true or false"),
+        (SHORT + 'certify = true\ndtype = "float64"', "and with float32 only, got True with float64"),
         (SHORT + 'dtype = "float16"', 'dtype must be "float32" or "float64"'),
         ("arm = ", "no TOML"),
         ("x = " + "[" * 20_000, "no TOML"),
