@@ -31,7 +31,7 @@ from ikjax.core import pose as poses
 from ikjax.core import safe, vector
 from ikjax.core.linear import solve_symmetric
 from ikjax.core.pose import Pose
-from ikjax.core.trig import Scalar, wrap
+from ikjax.core.trig import Scalar
 from ikjax.core.vector import plus, times
 from ikjax.solvers.family import TURNING, reach
 
@@ -214,10 +214,13 @@ def descend(arm: Arm, wish: Wish, q: Joints, steps, hold: HoldLike, damping: Sca
     """So many steps from joints within the limits; `damping` goes on from an earlier descent.
 
     The first round of the loop only looks where the start stands: written down outside, it would make the
-    program twice as long.
+    program twice as long. Where it is known that there is no step there is no loop, and nobody reads the
+    curvature.
     """
     zero = jnp.zeros_like(q[0])
     damping = zero + FIRST_DAMPING if damping is None else damping
+    if isinstance(steps, int) and steps == 0:
+        return State(q, standing(arm, wish, q, held_once(hold(q[0]))), damping)
     state = State(q, nowhere(arm, zero), damping * EASED)
 
     def again(_, state: State) -> State:
@@ -292,11 +295,9 @@ def _within(x: Scalar, low: Scalar, high: Scalar, turning: bool) -> Scalar:
     if not turning:
         return jnp.clip(x, low, high)
     low, high = (jnp.asarray(limit, x.dtype) for limit in (low, high))
-    turns = jnp.where(
-        x < low, jnp.ceil((low - x) / TURN), jnp.where(x > high, jnp.floor((high - x) / TURN), 0)
-    )
-    moved = x + TURN * jnp.where(jnp.isfinite(turns), turns, 0)
-    inside = (moved >= low) & (moved <= high)
-    ends = [jnp.where(jnp.isfinite(end), end, 0) for end in (low, high)]
-    short, far = (abs(wrap(x - end)) for end in ends)
-    return jnp.where(inside, moved, jnp.where(short <= far, ends[0], ends[1]))
+    middle = jnp.where(jnp.isfinite(low), low + math.pi, jnp.where(jnp.isfinite(high), high - math.pi, 0))
+    middle = jnp.where(jnp.isfinite(low) & jnp.isfinite(high), low / 2 + high / 2, middle)
+    x = jnp.where(jnp.isfinite(x), x, middle)
+    # Whole turns bring a joint as near to the middle as they can: the end that it passes then is the nearer.
+    turned = x - TURN * jnp.round((x - middle) * (1 / TURN))
+    return jnp.clip(jnp.where((x < low) | (x > high), turned, x), low, high)

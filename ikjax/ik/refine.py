@@ -117,7 +117,11 @@ def descended(
     columns = None if starts is None else tuple(still[2][..., i] for i in range(arm.n))
     if columns is not None:
         columns = tuple(jnp.moveaxis(x, -1, 0) for x in columns)
-    found = _descended(arm_still, entries_of(still[1]), columns, still[3], steps, None, priority)
+    entries = entries_of(still[1])
+    if columns is None and steps == 0:
+        found = jax.tree.map(lambda *slots: jnp.stack(slots), *closed(arm_still, entries, still[3]))
+    else:
+        found = _descended(arm_still, entries, columns, still[3], steps, None, priority)
     shape = found.cost.shape
 
     def rows(x):
@@ -153,6 +157,18 @@ def _descended(arm: Arm, entries: Entries, starts, length, steps, damping, prior
     return from_starts(arm, goal, proper, starts, length, steps, damping, priority)
 
 
+def closed(arm: Arm, entries: Entries, length) -> list[Found]:
+    """Every slot of the closed form within the limits, each by itself: a stack of them would be computed
+    number by number."""
+    goal, proper, near = asked(arm, entries)
+    shape, slots = goal.position[0].shape, []
+    for q in proposed(arm, goal, near):
+        held = tuple(near(jnp.broadcast_to(x, shape)) for x in descent.into_limits(arm, q))
+        found = _from_starts(arm, goal, proper, held, length, 0, None, "weighted", near)
+        slots.append(found._replace(cost=near(found.cost)))
+    return slots
+
+
 def asked(arm: Arm, entries: Entries):
     """The goal in scalars, whether it is a pose, and what holds numbers of its shape."""
     rotation, position = tuple(row[:3] for row in entries[:3]), tuple(row[3] for row in entries[:3])
@@ -176,8 +192,14 @@ def from_starts(
     """All starts after their steps."""
     starts = descent.into_limits(arm, starts)
     goal = jax.tree.map(lambda x: x[None], goal)
+    return _from_starts(arm, goal, proper[None], starts, length, steps, damping, priority, lambda x: x)
+
+
+def _from_starts(arm: Arm, goal: Pose, proper, starts, length, steps, damping, priority: str, hold) -> Found:
+    """Starts within the limits; what stands for the goal has their shape."""
     state, flat, bottom = priorities.descend(arm, goal, length, priority, starts, steps, holder, damping)
-    down = proper[None] & (flat <= descent.CONVERGED[flat.dtype.name])
+    flat = hold(flat)
+    down = proper & (flat <= descent.CONVERGED[flat.dtype.name])
     at, size = state.at, reach(arm)
     cost = size * size * at.cost
     if priority != "weighted":
@@ -206,9 +228,26 @@ class _Descending:
         return {**fields, "q": q.reshape(-1, count, arm.n)}
 
 
+@dataclasses.dataclass(frozen=True)
+class _Closed:
+    """A block of goals, the closed form alone."""
+
+    def __call__(self, arm: Arm, rows) -> dict[str, jax.Array]:
+        goals, length = rows
+        columns = blocks.columns_of(goals)
+        entries = tuple(tuple(columns[4 * i + j] for j in range(4)) for i in range(4))
+        slots = closed(arm, entries, length[:, 0])
+        fields = {name: blocks.packed([getattr(slot, name) for slot in slots]) for name in FIELDS}
+        q = blocks.packed([x for slot in slots for x in slot.q])
+        return {**fields, "q": q.reshape(-1, len(slots), arm.n)}
+
+
 def _in_blocks(arm: Arm, goals: jax.Array, starts, length, steps: int, priority: str) -> Projection:
     batch, flat = goals.shape[:-2], goals.reshape(-1, 4, 4)
     worth = jnp.broadcast_to(length, (flat.shape[0], 1))
+    if starts is None and steps == 0:
+        found = blocks.in_blocks(_Closed(), arm, (flat, worth))
+        return Projection(**{name: x.reshape(*batch, *x.shape[1:]) for name, x in found.items()})
     if starts is not None:
         starts = starts.reshape(-1, *starts.shape[-2:])
     few = jnp.full(worth.shape, min(steps, FIRST), jnp.int32)
