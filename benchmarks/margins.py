@@ -35,18 +35,20 @@ def panels():
 
 
 def field(arm, pose, half, limits, count):
-    """Coordinates, best margins (count, count) and their slopes along the plane."""
+    """Coordinates, best margins (count, count), what is reached, and the margins' slopes along the plane."""
     line = jnp.linspace(-half, half, count)
     u, v = jnp.meshgrid(line, line)
 
     @jax.jit
     def both(u, v):
         def total(u, v):
-            best = ikjax.best_margin(arm, ikjax.solve(arm, pose(u, v)), blur=0.01, limits=limits)
-            return best.sum(), best
+            sol = ikjax.solve(arm, pose(u, v))
+            best = ikjax.best_margin(arm, sol, blur=0.01, limits=limits)
+            sol = ikjax.within_limits(arm, sol) if limits else sol
+            return best.sum(), (best, sol.valid.any(-1))
 
-        (_, best), slopes = jax.value_and_grad(total, (0, 1), has_aux=True)(u, v)
-        return best, *slopes
+        (_, found), slopes = jax.value_and_grad(total, (0, 1), has_aux=True)(u, v)
+        return *found, *slopes
 
     shape = u.shape
     found = both(u.ravel(), v.ravel())
@@ -59,14 +61,14 @@ def main(path: str = "docs/margins.png") -> None:
     top = 0.4
     levels = np.linspace(-top, top, 17)
     for ax, (title, arm, pose, names, half, limits) in zip(axes.ravel(), panels(), strict=True):
-        line, best, _, _ = field(arm, pose, half, limits, FINE)
+        line, best, reached, _, _ = field(arm, pose, half, limits, FINE)
         image = ax.contourf(line, line, best, levels, cmap="RdBu", extend="both")
-        ax.contour(line, line, best, [0], colors="black", linewidths=1.6)
-        few, _, du, dv = field(arm, pose, half, limits, COARSE)
+        ax.contour(line, line, reached, [0.5], colors="black", linewidths=1.6)
+        few, _, _, du, dv = field(arm, pose, half, limits, COARSE)
         ax.quiver(few, few, du, dv, color="#333333", width=0.003, scale=28, pivot="mid")
         ax.set(title=title, xlabel=f"{names[0]} [m]", ylabel=f"{names[1]} [m]", aspect="equal")
     bar = figure.colorbar(image, ax=axes, shrink=0.7, aspect=34)
-    bar.set_label("best margin [m]: black line zero, blue reached; arrows: the way it climbs")
+    bar.set_label("best margin [m]: black line around what is reached; arrows: the way it climbs")
     figure.savefig(path, dpi=110)
 
 

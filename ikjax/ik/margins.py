@@ -58,9 +58,11 @@ def smooth_min(x, blur=0.0, *, axis: int = -1, where=None, empty: float = 0.0) -
 def limited_margins(arm: Arm, sol: Solutions) -> Solutions:
     """`within_limits`, and margins that end at the joint limits as well as at the folds.
 
-    A radian counts one reach [m], as a slide of one reach counts a radian. Inside, the margin is the
-    lesser of the two clearances. Where a branch does not reach its goal, what its joints are beyond
-    their limits is added to its distance from the fold, so that the slope towards the fold is kept.
+    A radian counts one reach [m], as a slide of one reach counts a radian. Where a branch reaches its
+    goal, the margin is the lesser of the two clearances. Elsewhere there are no joints whose limits could
+    be looked at, and the margin is what is left to the fold, zero at most: a branch that arrives beyond
+    its limits drops below zero as it arrives. Joints of slots that are not valid stand still, so a margin
+    made of them would have a value that moves and a slope that does not.
 
     Args:
         arm: The arm, with limits.
@@ -68,14 +70,15 @@ def limited_margins(arm: Arm, sol: Solutions) -> Solutions:
     """
     spare = reach(arm) * limit_distance(arm, sol.q)
     spare = jnp.asarray(spare, sol.margin.dtype)
-    margin = jnp.minimum(jnp.maximum(sol.margin, 0), spare) + jnp.minimum(sol.margin, 0)
+    margin = jnp.minimum(sol.margin, jnp.where(sol.valid, spare, 0))
     return dataclasses.replace(within_limits(arm, sol), margin=margin)
 
 
 def best_margin(arm: Arm, sol: Solutions, *, blur=0.0, limits: bool = True) -> jax.Array:
     """The margin of the best branch of each goal [m]: positive where the goal is reached.
 
-    Outside the workspace it says how far the goal is from being reached, and has the slope that leads there.
+    Outside the workspace it says how far the goal is from a fold, joint limits aside, and has the slope that
+    leads there.
     The families whose margin is no length (`pieper`, `position`, `parallel_axes`) keep its sign and zero.
 
     Args:

@@ -80,3 +80,31 @@ def test_margins_with_limits_climb_from_outside_and_are_finite_beside_nan(costly
     out = np.linalg.norm(point, axis=-1) > 1.0
     back = -point[out] / np.linalg.norm(point[out], axis=-1, keepdims=True)
     np.testing.assert_allclose(slopes[out], back, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["planar_2r", pytest.param("puma560", marks=pytest.mark.slow)])
+def test_margins_with_limits_have_the_slope_of_differences_inside_and_outside(name, rng):
+    arm = limited(np.float64) if name == "planar_2r" else ikjax.robots.get(name)
+    here = rng.uniform(-1.3, 1.3, (200, 3))
+    turns = np.asarray(ikjax.even_rotations(200), np.float64)
+    where = goals(rng, np.float64, 200) if arm.n == 2 else ikjax.pose(xyz=here, matrix=turns)
+    rates = {key: rng.normal(size=arm.n) * (np.asarray(getattr(arm, key)) != 0) for key in ("a", "d")}
+    shift = np.where(arm.n == 2, [1, 1, 0], 1) * rng.normal(size=3)
+
+    @jax.jit
+    def both(t):
+        def margin(t):
+            other = dataclasses.replace(arm, **{key: getattr(arm, key) + t * rates[key] for key in rates})
+            sol = ikjax.solve(other, where.at[:, :3, 3].add(t * shift))
+            return ikjax.limited_margins(other, sol).margin, sol.valid
+
+        return jax.jvp(margin, (t,), (jnp.ones_like(t),), has_aux=True)
+
+    step = 1e-6
+    behind, now, ahead = (np.asarray(both(jnp.asarray(t))[0]) for t in (-step, 0.0, step))
+    _, slope, valid = map(np.asarray, both(jnp.asarray(0.0)))
+    # A corner bends as much as the step is long, a curve as its square.
+    smooth = np.abs(ahead - 2 * now + behind) < 1e-3 * step
+    assert smooth.mean() > 0.98
+    assert (valid & (now < 0)).mean() > 0.05 and (~valid & (now < 0)).mean() > 0.2
+    np.testing.assert_allclose(slope[smooth], ((ahead - behind) / (2 * step))[smooth], rtol=1e-6, atol=1e-6)
