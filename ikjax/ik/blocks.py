@@ -29,6 +29,9 @@ BLOCK, BLOCKS = 4096, 4
 
 PIECE = BLOCK * BLOCKS
 
+THREADS = os.cpu_count() or 1
+"""Pieces that run at once."""
+
 AHEAD = 4
 """Pieces that may be under way while the first of them is put in its place."""
 
@@ -36,6 +39,12 @@ AHEAD = 4
 def wide_vectors() -> dict[str, str]:
     """Compiler options for kernels of ours: XLA's own choice is 256 bits, half of what AVX-512 has."""
     return {"xla_cpu_prefer_vector_width": "512"} if jax.default_backend() == "cpu" else {}
+
+
+def one_thread() -> dict[str, str | bool]:
+    """Compiler options for kernels of which several run at once: nothing is shared out inside."""
+    alone = {"xla_cpu_multi_thread_eigen": False} if jax.default_backend() == "cpu" else {}
+    return {**wide_vectors(), **alone}
 
 
 def solve_blocks(arm: Arm, goals: jax.Array, q_now, tolerance: float | None) -> Solutions:
@@ -68,7 +77,7 @@ def in_blocks(block: Callable[..., Any], arm: Arm, inputs):
     waiting: deque = deque()
     for start in [*starts, *[None] * AHEAD]:
         if start is not None:
-            piece = _pool().submit(_finished, kernel, rest, _cut(inputs, start, PIECE), np.int32(BLOCKS))
+            piece = pool().submit(finished, kernel, rest, _cut(inputs, start, PIECE), np.int32(BLOCKS))
             waiting.append((start, piece))
         if waiting and (start is None or len(waiting) > AHEAD):
             place, piece = waiting.popleft()
@@ -83,11 +92,11 @@ def _padded(rows: jax.Array) -> jax.Array:
 
 
 @functools.cache
-def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="ikjax")
+def pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(THREADS, thread_name_prefix="ikjax")
 
 
-def _finished(kernel, *arguments):
+def finished(kernel, *arguments):
     return jax.block_until_ready(kernel(*arguments))
 
 

@@ -77,7 +77,8 @@ class Certifier:
 
     @staticmethod
     def of(solved: Callable, positions, orientations: Orientations, groups: list[Group]) -> "Certifier":
-        tables = positions.tables(WIDE), orientations.tables(WIDE)
+        # As arrays of jax, because threads do not see the caller's settings.
+        tables = jax.device_put((positions.tables(WIDE), orientations.tables(WIDE)))
         return Certifier(solved, tables, tuple(group for group in groups if group.doubt is not None))
 
     def mend(self, totals: dict[str, np.ndarray], index: np.ndarray, first: int) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from ikjax.arm.arm import Arm
-from ikjax.ik.blocks import wide_vectors
+from ikjax.ik.blocks import THREADS, one_thread
 from ikjax.ik.graph import is_small
 from ikjax.study import spec
 from ikjax.study.certify import Certifier, lanes_of, program
@@ -65,28 +65,24 @@ class Kernel:
         """The first orientation of each call for the same positions."""
         return range(0, self.orientations, self.tiles * self.width)
 
-    def begin(self, index: np.ndarray, first: int) -> tuple[jax.Array, ...]:
-        """One call: what is under way.
+    def totals(self, index: np.ndarray, first: int) -> dict[str, np.ndarray]:
+        """One call: totals of each lane, (n, k). Several may run at once, each on a thread of its own.
 
         Args:
             index: (n, axes) places of at most `positions` positions.
             first: From `firsts`.
         """
-        share = self._share(len(index))
+        count, totals = len(index), dict[str, np.ndarray]()
+        share = self._share(count)
         full = np.zeros((self.devices, CALL, self.axes), np.int32)
         for device in range(self.devices):
             part = index[device * share : (device + 1) * share]
             full[device, : len(part)] = part
-        blocks = np.int32(share // POSITIONS)
-        left = -(-(self.orientations - first) // self.width)
-        tiles = np.int32(min(self.tiles, left))
-        return self.compiled(self.tables, full.reshape(-1, self.axes), np.int32(first), blocks, tiles)
-
-    def fetched(self, result: tuple[jax.Array, ...], index: np.ndarray, first: int) -> dict[str, np.ndarray]:
-        """Totals of each lane, (n, k), of a call that is done; arguments as in `begin`."""
-        count, totals = len(index), dict[str, np.ndarray]()
+        left = min(self.orientations - first, self.tiles * self.width)
+        numbers = map(np.int32, (first, share // POSITIONS, -(-left // self.width)))
+        result = self.compiled(self.tables, full.reshape(-1, self.axes), *numbers)
         for word, array in zip(self.words, jax.device_get(result), strict=True):
-            rows = np.asarray(array).reshape(self.devices, CALL, -1)[:, : self._share(count)]
+            rows = np.asarray(array).reshape(self.devices, CALL, -1)[:, :share]
             rows = rows.reshape(-1, rows.shape[-1])[:count]
             if word.reduce == "count":
                 totals |= {name: rows[:, k : k + 1].astype(np.int64) for k, name in enumerate(word.names)}
@@ -94,7 +90,6 @@ class Kernel:
                 high, low = rows[:, :1].astype(np.int64), rows[:, 1:].astype(np.int64)
                 totals[word.names[0]] = (high << 16) + low
             elif word.reduce == "bits":
-                left = min(self.orientations - first, self.tiles * self.width)
                 totals[word.names[0]] = rows[:, : -(-left // GROUP)]
             else:
                 totals[word.names[0]] = rows
@@ -111,7 +106,7 @@ class Kernel:
         return joined
 
     def suit(self, seconds: float) -> float:
-        """Measure the loop and let a call take about so long; goals a second."""
+        """Measure the loop and let a call take about so long; goals a second on all threads."""
         times = []
         for _ in range(2):
             started = time.perf_counter()
@@ -121,7 +116,7 @@ class Kernel:
         one = min(times)
         self.tiles = int(np.clip(seconds / one, 1, self.tiles))
         self.blocks = int(np.clip(seconds / one / self.tiles, 1, BLOCKS))
-        return self.devices * POSITIONS * min(self.width, self.orientations) / one
+        return THREADS * self.devices * POSITIONS * min(self.width, self.orientations) / one
 
 
 def kernel_of(arm: Arm, positions, orientations: Orientations, rolls: int, dtype: np.dtype, plan: Plan):
@@ -163,7 +158,7 @@ def kernel_of(arm: Arm, positions, orientations: Orientations, rolls: int, dtype
             spread,
             in_shardings=tuple(NamedSharding(mesh, place) for place in places),
             out_shardings=NamedSharding(mesh, shared),
-            compiler_options=wide_vectors(),
+            compiler_options=one_thread(),
         )
         again = lanes_of(groups)
         solved = program(given, positions, orientations, rolls, again) if again else None

@@ -1,4 +1,4 @@
-"""The work of a sweep: units in, their statistics out, one call under way while another is fetched.
+"""The work of a sweep: units in, their statistics out, a call on every thread while another is fetched.
 
 Storey: study. Positions stream through calls of one size whatever the size of units, so that the bits of a
 position depend on nothing but the position.
@@ -10,10 +10,12 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future
 from typing import Any, Protocol
 
 import numpy as np
 
+from ikjax.ik.blocks import THREADS, pool
 from ikjax.study import log
 from ikjax.study.kernel import Kernel
 from ikjax.study.layout import Head
@@ -21,6 +23,9 @@ from ikjax.study.statistics import Plan
 
 IN_FLIGHT = 2
 """Units that are being written while the next is computed."""
+
+AHEAD = THREADS + 1
+"""Calls that are under way or wait for a thread while the first of them is fetched."""
 
 Stop = Callable[[bool], str | None]
 """Asked often, with whether a unit has just ended: why to stop, or None."""
@@ -83,7 +88,9 @@ def run(
     places = (_places(box) for box in boxes)
     try:
         with _bar(positions, sum(sizes), kernel.orientations, progress) as advance:
-            rows = _recut(_computed(kernel, plan, places, ask), sizes)
+            # Every thread has something to do in a small sweep too.
+            most = max(-(-sum(sizes) // (2 * THREADS)), 1)
+            rows = _recut(_computed(kernel, plan, places, most, ask), sizes)
             for number, shape, size, row in zip(todo, shapes, sizes, rows, strict=True):
                 values = {
                     name: np.ascontiguousarray(row[name]).reshape(*shape, *row[name].shape[1:])
@@ -111,25 +118,29 @@ def _places(box: tuple[slice, ...]) -> np.ndarray:
 
 
 def _computed(
-    kernel: Kernel, plan: Plan, places: Iterable[np.ndarray], ask: Callable
+    kernel: Kernel, plan: Plan, places: Iterable[np.ndarray], most: int, ask: Callable
 ) -> Iterator[np.ndarray]:
-    """Statistics as records, one a position, call by call."""
-    batches = _recut(places, itertools.repeat(kernel.positions))
+    """Statistics as records, one a position, of at most so many positions a call."""
+    batches = _recut(places, itertools.repeat(min(most, kernel.positions)))
     calls = ((batch, first) for batch in batches for first in kernel.firsts())
-    waiting, totals = None, None
-    for call in itertools.chain(calls, [None]):
-        # One call is always under way while the one before it is fetched.
-        ready, waiting = waiting, call and (*call, kernel.begin(*call))
-        if ready is None:
-            continue
-        batch, first, result = ready
-        while not all(array.is_ready() for array in result):
-            ask(False)
-            time.sleep(0.001)
-        fetched = kernel.fetched(result, batch, first)
-        totals = fetched if first == 0 else kernel.together(totals, fetched)
-        if first == kernel.firsts()[-1]:
-            yield _records(plan, totals, len(batch))
+    waiting: deque[tuple[np.ndarray, int, Future]] = deque()
+    totals: dict[str, np.ndarray] = {}
+    try:
+        for call in itertools.chain(calls, [None] * AHEAD):
+            if call is not None:
+                waiting.append((*call, pool().submit(kernel.totals, *call)))
+            if not waiting or (call is not None and len(waiting) <= AHEAD):
+                continue
+            batch, first, found = waiting.popleft()
+            while not found.done():
+                ask(False)
+                time.sleep(0.001)
+            totals = found.result() if first == 0 else kernel.together(totals, found.result())
+            if first == kernel.firsts()[-1]:
+                yield _records(plan, totals, len(batch))
+    finally:
+        for *_, found in waiting:
+            found.cancel()
 
 
 def _records(plan: Plan, totals: dict[str, np.ndarray], count: int) -> np.ndarray:
