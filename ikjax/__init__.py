@@ -22,6 +22,7 @@ from ikjax.study.designed import Designed
 from ikjax.study.goals import Grid, Shell, around, grid, shell
 from ikjax.study.hopf import Hopf, hopf
 from ikjax.study.measures import Measure
+from ikjax.study.near import Near
 from ikjax.study.orientations import Cone, cone, even_rotations
 from ikjax.study.placed import Bases
 from ikjax.study.reach import ReachMap

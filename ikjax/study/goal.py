@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from ikjax.arm.arm import Arm
+from ikjax.core.pose import Pose
 from ikjax.solvers.branch import in_bits
 from ikjax.solvers.family import Slot
 from ikjax.study.doubt import any_doubtful
@@ -33,6 +34,8 @@ class Goal(NamedTuple):
     shape: tuple[int, int]
     kept: dict[Any, Any]
     """What several lanes look at and was made already."""
+    pose: Pose | None = None
+    """T_world_tool, for what looks at more than solutions."""
 
     def flags(self, inside: bool) -> list[jax.Array]:
         """Which slots count."""

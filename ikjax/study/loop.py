@@ -90,8 +90,9 @@ def each_goal(arm: Arm, group: Group, goal: Pose, rolls: int, dtype, shape) -> t
     def values(rotation) -> tuple[jax.Array, ...]:
         like = jnp.broadcast_to(rotation[0][0] + goal.position[0], shape)
         hold = holder(like)
-        slots = solve_scalars(arm, Pose(rotation, goal.position), hold=hold if group.held else None)
-        seen = Goal(arm, slots, hold, shape, {})
+        turned = Pose(rotation, goal.position)
+        slots = solve_scalars(arm, turned, hold=hold if group.held else None)
+        seen = Goal(arm, slots, hold, shape, {}, turned)
         if group.coded:
             kinds = {lane.inside for word in group.words for lane in word.lanes}
             seen = seen.coded(sorted(kinds), group.doubt is not None)

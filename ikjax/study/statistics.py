@@ -14,6 +14,8 @@ Every name but `best_limit_distance` has a twin with `_within`, for solutions wi
     best_, mean_sigma_min             least singular value of J in reaches, likewise
     best_limit_distance               of the joint nearest to its limit, 1 in the middle, 0 at the limit,
                                       negative beyond it; -inf without a solution
+
+`Near` counts orientations that an arm comes near, `Measure` is a statistic of one's own.
 """
 
 import functools
@@ -28,6 +30,9 @@ from ikjax.arm.arm import Arm
 from ikjax.study import measures
 from ikjax.study.goal import GROUP, Goal, Lane
 from ikjax.study.measures import Measure
+from ikjax.study.near import Near
+
+Own = Measure | Near
 
 USUAL = ("reachable", "solutions", "reachable_within", "solutions_within", "best_margin")
 """What a sweep keeps if nothing is said."""
@@ -65,19 +70,19 @@ class Plan(NamedTuple):
         return {name: statistic.told() for name, statistic in self.statistics.items()}
 
 
-def plan(arm: Arm, wanted: Iterable[str | Measure], orientations: int, rolls: int = 1) -> Plan:
+def plan(arm: Arm, wanted: Iterable[str | Own], orientations: int, rolls: int = 1) -> Plan:
     """The statistics of given names, and one's own.
 
     Raises:
         ValueError: A name that is none, or one twice, or no name at all.
     """
     given, known = list(wanted), available(arm)
-    names = [each.name if isinstance(each, Measure) else str(each) for each in given]
+    names = [each.name if isinstance(each, Own) else str(each) for each in given]
     wrong = [name for name, each in zip(names, given, strict=True) if (name in known) == (each is not name)]
     if wrong or not names or len(set(names)) < len(names):
         raise ValueError(f"statistics must be some of {', '.join(known)}, got {', '.join(names) or 'none'}")
     built = {
-        name: _own(arm, each, rolls) if isinstance(each, Measure) else _build(arm, name, orientations, rolls)
+        name: _own(arm, each, rolls) if isinstance(each, Own) else _build(arm, name, orientations, rolls)
         for name, each in zip(names, given, strict=True)
     }
     lanes = {key: lane for statistic, given in built.values() for key, lane in given.items()}
@@ -88,8 +93,10 @@ def certified(plan: Plan) -> Plan:
     """The same, with doubtful goals solved again in float64.
 
     Raises:
-        ValueError: No statistic is of numbers that are added up.
+        ValueError: No statistic is of numbers that are added up, or one of them is `Near`.
     """
+    if any("near" in statistic.facts for statistic in plan.statistics.values()):
+        raise ValueError("certify knows no doubts about what is near: sweep for that by itself")
     if not any(lane.added for lane in plan.lanes.values()):
         raise ValueError(f"certify needs a statistic that counts, got {', '.join(plan.statistics)}")
     mark = {"certified": True}
@@ -113,7 +120,11 @@ _TWINS = (
 )
 
 
-def _own(arm: Arm, measure: Measure, rolls: int) -> tuple[Statistic, dict[str, Lane]]:
+def _own(arm: Arm, measure: Own, rolls: int) -> tuple[Statistic, dict[str, Lane]]:
+    if isinstance(measure, Near):
+        return Statistic("int32", (measure.name,), _whole, facts=measure.facts()), {
+            measure.name: measure.lane()
+        }
     lanes = measure.lanes(arm, rolls)
     kind = "float64" if measure.reduce == "sum" else arm.dtype.name
     return Statistic(kind, tuple(lanes), measure.finish, facts=measure.facts(arm)), lanes

@@ -20,7 +20,6 @@ from ikjax.study.crew import Crew
 from ikjax.study.goals import Grid, Shell
 from ikjax.study.kernel import Kernel, kernel_of
 from ikjax.study.lock import Lock
-from ikjax.study.measures import Measure
 from ikjax.study.orientations import Orientations, as_orientations
 from ikjax.study.place import Place
 from ikjax.study.reach import ReachMap, Units
@@ -43,7 +42,7 @@ def sweep(
     rolls: int = 1,
     dtype=None,
     certify: bool = False,
-    statistics: Iterable[str | Measure] = statistics.USUAL,
+    statistics: Iterable[str | statistics.Own] = statistics.USUAL,
     out=None,
     resume: bool = False,
     force: bool = False,
@@ -66,8 +65,8 @@ def sweep(
             which solutions there are: near a fold, a singularity or a limit. All that is added up is then as
             in a float64 sweep; greatest and least values stay those of float32. Needs jax_enable_x64;
             on a CPU it is no faster than float64 (`benchmarks/certified.py`).
-        statistics: Which to keep, by name or as `ikjax.Measure(...)`: see `study.statistics`. What is not
-            asked for is not computed.
+        statistics: Which to keep, by name, or as `ikjax.Near(...)` or `ikjax.Measure(...)`: see
+            `study.statistics`. What is not asked for is not computed.
         out: A folder, or a URL that tensorstore knows, where the map is stored unit by unit.
         resume: Go on with what is at `out`: what cannot be read is computed. Start if nothing is there.
         force: Replace a map at `out`; with `resume`, one of another study only.
@@ -180,13 +179,13 @@ def _checked(arm: Arm, positions, rolls: int, dtype, certify: bool) -> np.dtype:
 
 
 def _plan(
-    arm: Arm, names: Iterable[str | Measure], turns: Orientations, rolls: int, certify: bool
+    arm: Arm, names: Iterable[str | statistics.Own], turns: Orientations, rolls: int, certify: bool
 ) -> statistics.Plan:
     # Solutions of a position are counted in 31 bits.
     most = turns.count * rolls * len(arm.branches)
     if most >= 2**31:
         raise ValueError(f"orientations x rolls x branches must be below 2^31, got {most:,}")
-    given = [names] if isinstance(names, str | Measure) else names
+    given = [names] if isinstance(names, str | statistics.Own) else names
     plan = statistics.plan(arm, given, turns.count, rolls)
     return statistics.certified(plan) if certify else plan
 
