@@ -14,10 +14,13 @@ Hanafusa (1986).
 """
 
 import functools
+import math
 from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.custom_derivatives import SymbolicZero
 
 from ikjax.arm import rates
 from ikjax.arm.arm import Arm
@@ -31,6 +34,9 @@ from ikjax.solvers.family import reach
 
 DAMPING = 16
 """In square roots of the type's rounding: below it, J^T J is rounding."""
+
+BLOCK = 4096
+"""Goals whose slopes are worked on at a time."""
 
 Build = Callable[[list], Arm]
 """The arm of its leaves that are traced."""
@@ -70,12 +76,47 @@ def _joints(build: Build, damping: float, leaves: list, goals, q, valid):
     return q
 
 
-@_joints.defjvp
-def _(build: Build, damping: float, primals, tangents):
+def _slope_of_joints(build: Build, damping: float, primals, tangents):
     leaves, goals, q, valid = primals
     # Joints with their slopes, for slopes of this slope.
     q = _joints(build, damping, leaves, goals, q, valid)
-    return q, _motion(build, leaves, tangents[0], tangents[1], q, valid, damping)
+    # Numbers that stand still are zeros which need not be computed with.
+    still = all(isinstance(rate, SymbolicZero) for rate in tangents[0])
+    leaf_rates = [np.zeros(x.shape, x.dtype) if isinstance(x, SymbolicZero) else x for x in tangents[0]]
+
+    def motion(goal_rates, q, valid):
+        if still and goal_rates is None:
+            return jnp.zeros_like(q)
+        arm = build(leaves)
+        return _motion(arm, None if still else build(leaf_rates), goal_rates, q, valid, damping)
+
+    goal_rates = None if isinstance(tangents[1], SymbolicZero) else tangents[1]
+    return q, _blockwise(motion, valid.shape[:-1], (goal_rates, q, valid))
+
+
+_joints.defjvp(_slope_of_joints, symbolic_zeros=True)
+
+
+def _blockwise(f: Callable[..., jax.Array], batch: tuple[int, ...], rows) -> jax.Array:
+    """f of rows (*batch, ...), in blocks that fit a CPU's cache.
+
+    Nothing of a block but its rows is kept for reverse mode: to compute it again is cheaper than to fetch it.
+    """
+    count = math.prod(batch)
+    # One loop would gather what is spread over devices, and a GPU has no use for it.
+    if count <= BLOCK or jax.default_backend() != "cpu" or jax.device_count() > 1:
+        return f(*rows)
+    blocks = -(-count // BLOCK)
+    size = -(-count // blocks)
+
+    def cut(x):
+        flat = x.reshape(count, *x.shape[len(batch) :])
+        flat = jnp.pad(flat, [(0, blocks * size - count), *[(0, 0)] * (flat.ndim - 1)])
+        return flat.reshape(blocks, size, *flat.shape[1:])
+
+    each = jax.checkpoint(lambda x: f(*x), prevent_cse=False)
+    found = jax.lax.map(each, jax.tree.map(cut, rows))
+    return found.reshape(-1, *found.shape[2:])[:count].reshape(*batch, *found.shape[2:])
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -96,9 +137,12 @@ def _(build: Build, primals, tangents):
     return _margins(build, leaves, goals, margin), slope
 
 
-def _motion(build: Build, leaves, leaf_rates, goal_rates, q, valid, damping):
-    """How the joints move, (..., S, n). Slots lead, so that each number is one array (S, ...)."""
-    count, arm = q.shape[-2], build(leaves)
+def _motion(arm: Arm, arm_rates: Arm | None, goal_rates, q, valid, damping):
+    """How the joints move, (..., S, n). Slots lead, so that each number is one array (S, ...).
+
+    Rates of None are zero.
+    """
+    count = q.shape[-2]
 
     def slots_first(x):
         return jnp.stack([x[..., s] for s in range(count)])
@@ -112,12 +156,14 @@ def _motion(build: Build, leaves, leaf_rates, goal_rates, q, valid, damping):
     joints = tuple(slots_first(q[..., i]) for i in range(arm.n))
     found = chain(arm, joints, hold)
     reached = poses.compose(found.last, fixed_pose(arm.tool))
-    wished = tuple(tuple(x[None] for x in row) for row in entries_of(goal_rates)[:3])
-    # The goal's own rotation is not looked at: where nothing is valid it may hold anything.
-    turn = rates.spin(reached.rotation, tuple(row[:3] for row in wished))
-    twist = rates.Twist(tuple(row[3] for row in wished), turn)
-    if leaves:
-        own = rates.of_numbers(arm, build(leaf_rates), joints, found, reached.position)
+    twist = rates.STILL
+    if goal_rates is not None:
+        wished = tuple(tuple(x[None] for x in row) for row in entries_of(goal_rates)[:3])
+        # The goal's own rotation is not looked at: where nothing is valid it may hold anything.
+        turn = rates.spin(reached.rotation, tuple(row[:3] for row in wished))
+        twist = rates.Twist(tuple(row[3] for row in wished), turn)
+    if arm_rates is not None:
+        own = rates.of_numbers(arm, arm_rates, joints, found, reached.position)
         twist = twist.plus(own.times(-1.0))
     size = reach(arm)
     rows = rates.asked(arm, found, 1 / size)

@@ -271,6 +271,28 @@ def test_slots_that_reach_nothing_stand_still(name):
 
 
 @pytest.mark.slow
+def test_slopes_of_many_goals_are_those_of_few(monkeypatch):
+    arm, goals, _, _ = case("2R", 40)
+    plane = jnp.asarray(in_plane(arm, np.ones(6)))
+
+    def total(a, t):
+        where = moved(goals, t * plane).reshape(2, 20, 4, 4)
+        return jnp.sin(ikjax.solve(dataclasses.replace(arm, a=a), where).q).sum()
+
+    def slopes(a, t):
+        forward = jax.jvp(lambda t: total(a, t), (t,), (jnp.ones_like(t),))[1]
+        back = jax.grad(total, (0, 1))
+        return forward, *back(a, t), *jax.jvp(back, (a, t), (jnp.ones_like(a), jnp.ones_like(t)))[1]
+
+    whole = jax.jit(slopes)(arm.a, jnp.zeros(()))
+    monkeypatch.setattr(ikjax.ik.implicit, "BLOCK", 12)
+    blocked = jax.jit(lambda *x: slopes(*x)).lower(arm.a, jnp.zeros(()))
+    assert "while" in blocked.as_text()
+    for one, other in zip(blocked.compile()(arm.a, jnp.zeros(())), whole, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-12 * np.abs(other).max())
+
+
+@pytest.mark.slow
 def test_damping_bounds_the_slope_at_a_singularity():
     arm = build("puma560").astype(np.float64)
     q = jnp.array([0.3, -0.5, 0.4, 0.2, 0.0, 0.6])  # the wrist is straight
