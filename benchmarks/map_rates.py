@@ -56,6 +56,7 @@ def measure(given) -> str:
         "target",
         "reached",
         "compile [s]",
+        "10^12 [h]",
     ]
     return "## Rates\n\n" + report.table(head, body)
 
@@ -82,4 +83,5 @@ def _row(arm: ikjax.Arm, dtype: str, goals: float) -> list[str]:
         "" if target is None else report.target(f">= {target}", rate >= target),
         f"{maps[0].reachable_within.sum() / maps[0].goals:.2%}",
         f"{compile_seconds:.1f}",
+        report.figure(1e6 / rate / 3600),
     ]

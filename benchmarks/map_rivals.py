@@ -95,6 +95,7 @@ def _sampled(arm, given) -> str:
     _, usual = swept(arm, grid, orientations, ("reachable_within",))
     truth = ours.reached()
     theirs = map_sampled.Sampler(arm, grid, orientations)
+    theirs.check()
     body, shown, kept = [], [], []
     for count in samples:
         theirs.until(count)

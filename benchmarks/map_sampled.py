@@ -13,6 +13,7 @@ import functools
 import math
 import time
 
+import check
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -33,6 +34,28 @@ class Sampler:
         self.hits = np.zeros(grid.count * orientations.count, bool)
         self.samples, self.seconds = 0, 0.0
         self._cells = jax.jit(self.drawn, compiler_options=wide_vectors()).lower(np.uint32(0)).compile()
+
+    def check(self) -> None:
+        """Raise unless its poses are those of `check.fk` and the middle of every cell is in that cell."""
+        q = self.joints(np.uint32(0))
+        rotation, position = forward(self.arm, q)
+        poses = check.fk(self.arm, np.stack(q, -1)[:1000].astype(float))
+        gap = [np.abs(np.asarray(position[i])[:1000] - poses[:, i, 3]).max() for i in range(3)]
+        gap += [
+            np.abs(np.asarray(rotation[i][j])[:1000] - poses[:, i, j]).max()
+            for i in range(3)
+            for j in range(3)
+        ]
+        turns = np.moveaxis(rotations_of(self.orientations).astype(np.float32), 0, -1)
+        points = np.moveaxis(self.grid.points().reshape(-1, 3).astype(np.float32), 0, -1)
+        first = self.cell(tuple(map(tuple, turns)), tuple(np.float32(x) for x in self.grid.origin))
+        last = self.cell(tuple(map(tuple, turns[..., -1])), tuple(points))
+        size = self.orientations.count
+        same = (first == np.arange(size)).all() and (
+            last == np.arange(len(points[0])) * size + size - 1
+        ).all()
+        if not same or max(gap) > 1e-5:
+            raise RuntimeError(f"the sampler is wrong: cells {same}, poses off by {max(gap):.1e}")
 
     def until(self, samples: int) -> None:
         """Draw on to so many samples."""
