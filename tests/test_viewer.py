@@ -1,7 +1,9 @@
 """The viewer's scene follows its handles, and nobody else on the network can reach it."""
 
 import dataclasses
+import io
 
+import browser
 import numpy as np
 import pytest
 
@@ -27,6 +29,9 @@ class Handle:
     def on_update(self, call):
         self.heard.append(call)
 
+    def on_click(self, call):
+        self.clicked = call
+
     def set(self, **values):
         self.__dict__.update(values)
         for call in self.heard:
@@ -46,6 +51,8 @@ class Server:
 
     def add_image(self, name, image, width, height, *, wxyz, position, **_):
         self.slice = (image, width, height, np.array(wxyz), np.array(position))
+        self.image = Handle()
+        return self.image
 
     def remove_by_name(self, name):
         self.lines.pop(name, None)
@@ -117,6 +124,21 @@ def test_the_slice_lies_where_the_slider_is_and_stands_as_the_grid_does(reach):
         np.testing.assert_array_equal(image[-1 - row, :, 3] == 0, empty)
 
 
+@pytest.mark.slow
+def test_a_click_on_the_slice_puts_the_goal_there(reach):
+    server = Server()
+    shown = viewer.Viewer(reach, server=server)
+    start, place = np.array([1.0, -3.0, 1.0]), np.array([0.5, shown.plane.at, 0.2])
+    turned = shown.goal.wxyz
+    server.image.clicked(Handle(ray_origin=start, ray_direction=(place - start) / 7))
+    np.testing.assert_allclose(shown.goal.position, place, atol=1e-12)
+    assert shown.goal.wxyz is turned and server.lines
+    for lines, _ in server.lines.values():
+        np.testing.assert_allclose(lines[-1, 1], place, atol=1e-5)
+    server.image.clicked(Handle(ray_origin=start, ray_direction=(1, 0, 0)))  # along the slice
+    np.testing.assert_allclose(shown.goal.position, place, atol=1e-12)
+
+
 def plane_index(reach, shown) -> int:
     return round(shown.layer.value * (reach.grid.shape[1] - 1))
 
@@ -132,5 +154,57 @@ def test_the_server_listens_on_this_machine_alone(reach):
     shown = viewer.Viewer(reach, port=8765)
     try:
         assert shown.server.get_host() == "127.0.0.1"
+    finally:
+        shown.server.stop()
+
+
+@pytest.mark.slow
+def test_in_a_browser_a_moved_slice_and_a_clicked_goal_change_what_is_shown(reach, tmp_path):
+    pytest.importorskip("viser")
+    pytest.importorskip("websockets.sync.client")
+    if (path := browser.find()) is None:
+        pytest.skip(f"no browser: none of {', '.join(browser.NAMES)} is found")
+    from matplotlib.image import imread
+
+    def scene(page) -> np.ndarray:
+        """The middle of the page, where nothing but the map is."""
+        return np.round(255 * imread(io.BytesIO(page.picture()))[150:450, 330:560, :3])
+
+    def settled(page) -> np.ndarray:
+        """The scene once two looks at it are the same."""
+        looks = [scene(page)]
+        browser.until(
+            lambda: looks.append(scene(page)) or (looks[-1] == looks[-2]).all(), 120, "a still scene"
+        )
+        return looks[-1]
+
+    shown = viewer.Viewer(reach, port=8766)
+    try:
+        with browser.Browser(path, tmp_path) as page:
+            page.open(f"http://127.0.0.1:{shown.server.get_port()}/")
+            browser.until(lambda: " branches, " in page.text(), 120, "the panel")
+            assert shown.server.get_clients() and reach.arm.name in page.text()
+            browser.until(lambda: len(np.unique(settled(page).reshape(-1, 3), axis=0)) > 100, 120, "the map")
+            first, said = settled(page), shown.said.content
+            # The slider is dragged by its thumb.
+            find = "document.querySelector('[role=slider].mantine-Slider-thumb').getBoundingClientRect()"
+            x, y = page.evaluate(f"(b => [b.x + b.width / 2, b.y + b.height / 2])({find})")
+            page.drag((x, y), (x + 24, y))
+            browser.until(lambda: shown.layer.value > 0.6, 60, "the slider")
+            at = shown.plane.at
+            assert at > reach.grid.axis(1)[6]
+            second = settled(page)
+            assert (first != second).any(-1).mean() > 0.05
+            # A click on the slice, beside the gizmo.
+            before = np.array(shown.goal.position)
+            page.mouse("mouseMoved", 420, 250)
+            page.mouse("mousePressed", 420, 250, buttons=1)
+            page.mouse("mouseReleased", 420, 250)
+            browser.until(lambda: not np.array_equal(shown.goal.position, before), 60, "the click")
+            assert shown.goal.position[1] == pytest.approx(at)
+            browser.until(lambda: shown.said.content != said, 60, "other branches")
+            words = shown.said.content.split("**")[1]
+            browser.until(lambda: words in page.text(), 60, "them in the panel")
+            assert (second != settled(page)).any(-1).mean() > 0.005
     finally:
         shown.server.stop()

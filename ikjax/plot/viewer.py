@@ -111,7 +111,8 @@ class Viewer:
         camera.position, camera.look_at = base + self.size * np.array([0.55, -1.05, 0.45]), base
         scene.add_frame("/base", axes_length=0.08 * self.size, axes_radius=0.004 * self.size, position=base)
         gui.add_markdown(
-            f"**{self.arm.name}**: {reach.grid.in_words()} x {reach.orientations:,} orientations"
+            f"**{self.arm.name}**: {reach.grid.in_words()} x {reach.orientations:,} orientations. "
+            "A click on the slice puts the goal there; its handles move and turn it."
         )
         self.axis = gui.add_dropdown("Slice square to", ("x", "y", "z"), initial_value="y")
         self.layer = gui.add_slider("Where along it", 0.0, 1.0, 0.001, 0.5)
@@ -141,9 +142,10 @@ class Viewer:
         across, up = kept(axis)
         centre = np.array([(tick[0] + tick[-1]) / 2 for tick in ticks])
         centre[axis] = plane.at
+        self.plane = plane
         width, height = (float(ticks[k][-1] - ticks[k][0] + 2 * half) for k in (across, up))
         with self._lock:
-            self.server.scene.add_image(
+            image = self.server.scene.add_image(
                 "/slice",
                 np.ascontiguousarray(slice_image(self.reach, plane)),
                 width,
@@ -154,6 +156,15 @@ class Viewer:
                 receive_shadow=False,
                 format="png",
             )
+            image.on_click(self.put_goal)
+
+    def put_goal(self, click: Any) -> None:
+        """Move the goal to where a click's ray meets the slice; its orientation stays."""
+        start, way = np.asarray(click.ray_origin, float), np.asarray(click.ray_direction, float)
+        axis = self.plane.axis
+        if way[axis] != 0:
+            self.goal.position = start + way * ((self.plane.at - start[axis]) / way[axis])
+            self.draw_branches()
 
     def draw_branches(self) -> None:
         """Solve the goal under the gizmo and put every branch that reaches it into the scene."""
