@@ -28,7 +28,10 @@ def run_show(options) -> int:
     asked = bool(options.page)
     if not (asked or options.picture or options.json):
         stem = _stem(options.other or options.map)
-        options.page, options.picture = f"{stem}.html", f"{stem}.png"
+        options.page = f"{stem}.html"
+        # A map of other statistics than counts has a page, but no such picture.
+        if all({"reachable", "reachable_within"} <= each.arrays.keys() for each in maps):
+            options.picture = f"{stem}.png"
     then = maps[0] if options.other else None
     return report(options, maps[-1], then, options.map, options.page, asked)
 

@@ -8,6 +8,7 @@ import base64
 import html
 import io
 import json
+import shlex
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from ikjax.plot.disc import globe
 from ikjax.plot.slices import reach_map
 from ikjax.plot.solid import nested
 from ikjax.plot.style import pyplot
-from ikjax.study import compare, layout, spec
+from ikjax.study import compare, layout, spec, statistics
 from ikjax.study.goals import Grid
 from ikjax.study.orientations import Cone, Even
 from ikjax.study.reach import ReachMap
@@ -94,21 +95,35 @@ def page(reach: ReachMap, then: ReachMap | None = None, name: str = "map.zarr") 
 
 
 def repeat(reach: ReachMap, name: str) -> str:
-    """Commands that make a map again."""
-    certify = " certify=True," if spec.is_certified(reach.told) else ""
+    """Commands that make a map again, to be run where `name` is."""
     few = isinstance(reach.directions, Even | Cone)
     which = repr(reach.directions) if few else f"{reach.orientations:,} rotations"
+    words = {key: _statistic(key, told, reach) for key, told in reach.told.items()}
+    names = ", ".join(words.values())
+    own = [key for key, word in words.items() if word == key]
+    given = "".join(f"{key} = ...  # the ikjax.Measure of that name, as it was\n" for key in own)
+    certify = ", certify=True" if spec.is_certified(reach.told) else ""
+    shell = shlex.quote(name)
     return f"""\
 # in Python: the same arm, positions and orientations ({which})
-import ikjax
-old = ikjax.ReachMap.load({name!r})
-new = ikjax.sweep(old.arm, old.grid, old.directions, rolls={reach.rolls}, dtype={reach.dtype!r},{certify}
-                  statistics={list(reach.told)!r}, out="again.zarr")
-assert all((new.to_numpy()[k] == v).all() for k, v in old.to_numpy().items())
+import ikjax, jax
+jax.config.update("jax_enable_x64", True)
+{given}old = ikjax.ReachMap.load({name!r})
+new = ikjax.sweep(old.arm, old.grid, old.directions, rolls={reach.rolls}, dtype={reach.dtype!r}{certify},
+                  statistics=[{names}], out="again.zarr")
+assert all(new.to_numpy()[k].tobytes() == v.tobytes() for k, v in old.to_numpy().items())
 
 # in a shell: this page again, and what changed
-ikjax show {name}
-ikjax show {name} again.zarr"""
+ikjax show {shell}
+ikjax show {shell} again.zarr"""
+
+
+def _statistic(key: str, told: dict, reach: ReachMap) -> str:
+    """A statistic in Python; of a measure of one's own its name, as a variable."""
+    if "near" in told:
+        position, rotation = told["near"]
+        return f"ikjax.Near({position!r}, {rotation!r}, {key!r})"
+    return repr(key) if key in statistics.available(reach.arm) else key
 
 
 def _counted(reach: ReachMap) -> bool:

@@ -1,0 +1,103 @@
+"""The commands that a map's page prints make the map again, bit by bit, when they are run as they stand."""
+
+import html
+import os
+import pathlib
+import re
+import subprocess
+import sys
+
+import pytest
+
+import ikjax
+
+pytest.importorskip("tensorstore")
+pytest.importorskip("matplotlib").use("Agg")
+page = pytest.importorskip("ikjax.plot.page")
+
+ROOT = pathlib.Path(__file__).parent.parent
+BOX = {"lower": (0.2, -0.3, 0.0), "upper": (0.6, 0.3, 0.4), "spacing": 0.1}
+MAPS = {
+    "float64": {"orientations": 12, "dtype": "float64"},
+    "a list": {"orientations": ikjax.even_rotations(12)[::2], "dtype": "float32", "rolls": 2},
+    "certified": {"orientations": ikjax.hopf(0), "dtype": "float32", "certify": True},
+    "mask": {"orientations": ikjax.cone((0, 0, -1), 0.5, 9), "statistics": ["mask", "best_sigma_min"]},
+    "near": {"orientations": 16, "statistics": ["reachable", ikjax.Near(0.01, 0.5, "nearly")]},
+}
+
+
+def swept(folder, name: str) -> pathlib.Path:
+    """A stored map, whose name has a blank and a quote."""
+    out = folder / f"{name}'s map.zarr"
+    arm = ikjax.robots.motoman_l3() if name == "near" else ikjax.robots.puma560()
+    ikjax.sweep(arm, ikjax.grid(**BOX), out=out, **MAPS[name])
+    return out
+
+
+def run(folder, *words) -> str:
+    """What a program says, started as a user would: without this suite's settings."""
+    kept = {key: value for key, value in os.environ.items() if key != "JAX_ENABLE_X64"}
+    paths = {"PYTHONPATH": str(ROOT), "PATH": f"{folder / 'bin'}{os.pathsep}{os.environ['PATH']}"}
+    done = subprocess.run(
+        words, cwd=folder, env={**kept, **paths}, capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def parts(words: str) -> tuple[str, str]:
+    """Python and shell of a recipe."""
+    python, mark, shell = words.partition("# in a shell")
+    assert mark and "ikjax.sweep" in python
+    return python, mark + shell
+
+
+def again(folder, out) -> None:
+    """The bits of the map that was made by the commands are those of the first."""
+    first, second = (ikjax.ReachMap.load(each).to_numpy() for each in (out, folder / "again.zarr"))
+    assert {k: v.tobytes() for k, v in first.items()} == {k: v.tobytes() for k, v in second.items()}
+    assert first
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", MAPS)
+def test_the_python_of_a_recipe_makes_the_same_bits(name, tmp_path):
+    out = swept(tmp_path, name)
+    python, _ = parts(page.repeat(ikjax.ReachMap.load(out), out.name))
+    run(tmp_path, sys.executable, "-c", python)
+    again(tmp_path, out)
+
+
+@pytest.mark.slow
+def test_all_of_the_recipe_is_run_as_it_stands_on_the_page(tmp_path):
+    out = swept(tmp_path, "a list")
+    (tmp_path / "bin").mkdir()
+    command = tmp_path / "bin" / "ikjax"
+    command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m ikjax.cli "$@"\n')
+    command.chmod(0o755)
+    run(tmp_path, "ikjax", "show", out.name)
+    (shown,) = tmp_path.glob("*.html")
+    _, _, after = shown.read_text().partition("How to repeat it")
+    python, shell = parts(html.unescape(re.search(r"<pre>(.*?)</pre>", after, re.DOTALL)[1]))
+    run(tmp_path, sys.executable, "-c", python)
+    again(tmp_path, out)
+    shown.unlink()
+    said = run(tmp_path, "sh", "-e", "-c", shell)
+    assert "positions that differ      0" in said
+    assert shown.exists() and (tmp_path / "again.html").exists()
+
+
+def test_a_measure_of_ones_own_is_asked_for(tmp_path):
+    count = ikjax.Measure("most", lambda sol: sol.valid.sum(-1).astype("float32"), "max")
+    positions = ikjax.grid((0.4, 0, 0), (0.5, 0.1, 0.1), 0.1)
+    reach = ikjax.sweep(ikjax.robots.gx4_351s(), positions, 4, statistics=["reachable", count])
+    python, _ = parts(page.repeat(reach, "map.zarr"))
+    assert "most = ...  # the ikjax.Measure" in python and "statistics=['reachable', most]" in python
+
+
+@pytest.mark.slow
+def test_a_map_without_counts_is_shown_on_a_page_without_their_pictures(tmp_path):
+    out = swept(tmp_path, "mask")
+    said = run(tmp_path, sys.executable, "-m", "ikjax.cli", "show", out.name)
+    assert "page" in said and "picture" not in said
+    assert not list(tmp_path.glob("*.png"))
