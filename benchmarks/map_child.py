@@ -87,7 +87,7 @@ def main(asked: dict) -> dict:
     spent: dict[str, float] = collections.defaultdict(float)
     clocked(spent)
     if asked.get("warm"):
-        warm(**sweep, out=asked["outs"][-1], force=True) if asked.get("crew") else warm(**sweep)
+        warm(**sweep, out=f"{asked['outs'][0]}.warm") if asked.get("crew") else warm(**sweep)
     told = []
     for out in asked["outs"]:
         spent.clear()

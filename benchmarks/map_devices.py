@@ -1,10 +1,10 @@
 """Two devices in one process, and two processes of one device, against one, on the same cores."""
 
+import itertools
 import socket
 import statistics
 import sys
 import tempfile
-from pathlib import Path
 
 import map_growth
 import report
@@ -27,13 +27,11 @@ def measure(given) -> str:
         "2 processes, 1 device each": lambda place: _crew(place, goals),
     }
     rates: dict[str, list[float]] = {name: [] for name in kinds}
-    with tempfile.TemporaryDirectory(dir=given.out.parent) as folder:
-        for _ in range(1 if given.quick else ROUNDS):
-            for name, begin in kinds.items():
-                rates[name] += _rates(
-                    [map_growth.heard(each) for each in begin(str(Path(folder) / "map.zarr"))]
-                )
-                print(f"{name}: {rates[name][-1]:.0f} M goals/s", file=sys.stderr, flush=True)
+    rounds = range(1 if given.quick else ROUNDS)
+    for _, (name, begin) in itertools.product(rounds, kinds.items()):
+        with tempfile.TemporaryDirectory(dir="out") as folder:
+            rates[name] += _rates([map_growth.heard(each) for each in begin(f"{folder}/map.zarr")])
+        print(f"{name}: {rates[name][-1]:.0f} M goals/s", file=sys.stderr, flush=True)
     first, *_ = middle = [statistics.median(found) for found in rates.values()]
     body = []
     for (name, found), rate in zip(rates.items(), middle, strict=True):
@@ -49,8 +47,8 @@ def measure(given) -> str:
 
 
 def _start(place: str, goals: float, flags: str = "", crew: list | None = None):
-    asked = {"arm": ARM, "goals": goals, "dtype": DTYPE, "outs": [place] * SWEEPS, "warm": True, "crew": crew}
-    return map_growth.start(flags, **asked)
+    outs = [f"{place}.{k}" for k in range(SWEEPS)]
+    return map_growth.start(flags, arm=ARM, goals=goals, dtype=DTYPE, outs=outs, warm=True, crew=crew)
 
 
 def _crew(place: str, goals: float) -> list:

@@ -24,20 +24,21 @@ PAIRS = 5
 def measure(given) -> str:
     """Both tables, as Markdown; a picture beside."""
     sizes = QUICK if given.quick else SIZES
-    with tempfile.TemporaryDirectory(dir=given.out.parent) as folder:
-        place = str(Path(folder) / "map.zarr")
+    with tempfile.TemporaryDirectory(dir="out") as folder:
         grown = []
         for goals in sizes:
+            place = str(Path(folder) / f"{goals:g}.zarr")
             told = child(arm=ARM, goals=goals, dtype=DTYPE, outs=[place])
             told["disk"] = sum(file.stat().st_size for file in Path(place).rglob("*") if file.is_file())
             grown.append(told)
             print(f"{goals:g} goals: {told['wall']:.1f} s", file=sys.stderr, flush=True)
-        turns = child(arm=ARM, goals=sizes[-1], dtype=DTYPE, outs=[None, place] * PAIRS, warm=True)
+        turns = [x for k in range(PAIRS) for x in (None, f"{place}.{k}")]
+        turned = child(arm=ARM, goals=sizes[-1], dtype=DTYPE, outs=turns, warm=True)
     map_pictures.growth(grown, given.pictures / "maps_growth.png")
     return (
         f"## Time and memory\n\n{ARM}, {DTYPE}, into a store; a process each.\n\n"
         f"{_grown(grown)}\n\n![Time and memory against goals](../docs/maps_growth.png)\n\n"
-        f"## Storing\n\n{_storing(turns['sweeps'])}"
+        f"## Storing\n\n{_storing(turned['sweeps'])}"
     )
 
 

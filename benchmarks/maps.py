@@ -44,6 +44,7 @@ def main() -> int:
     parser.add_argument("--pictures", type=Path, default=Path("out"), help="a folder")
     given = parser.parse_args()
     facts = report.environment(given.quick)
+    Path("out").mkdir(exist_ok=True)
     given.pictures.mkdir(parents=True, exist_ok=True)
     given.out.parent.mkdir(parents=True, exist_ok=True)
     parts = ["# Maps, measured", "Made by `python benchmarks/maps.py`; what each figure means: README.md."]
