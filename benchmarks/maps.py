@@ -11,6 +11,7 @@ What each figure means: README.md.
 
 import argparse
 import sys
+import traceback
 from pathlib import Path
 
 import jax
@@ -51,8 +52,12 @@ def main() -> int:
     parts.append("\n".join(f"- {key}: {value}" for key, value in facts.items()))
     for name in PARTS if given.part == "all" else [given.part]:
         print(f"{name} ...", file=sys.stderr, flush=True)
-        parts.append(PARTS[name](given))
-        # At once, so that what was measured is kept if the next part fails.
+        try:
+            parts.append(PARTS[name](given))
+        except Exception as error:
+            traceback.print_exc()
+            parts.append(f"## Not measured: {name}\n\n{type(error).__name__}: {error}")
+        # At once, so that what was measured is kept if the next part is killed.
         given.out.write_text("\n\n".join(parts) + "\n")
         print(f"{parts[-1]}\n", flush=True)
     return 0

@@ -2,6 +2,11 @@
 
 import dataclasses
 import io
+import os
+import signal
+import subprocess
+import sys
+import urllib.request
 
 import browser
 import numpy as np
@@ -156,6 +161,24 @@ def test_the_server_listens_on_this_machine_alone(reach):
         assert shown.server.get_host() == "127.0.0.1"
     finally:
         shown.server.stop()
+
+
+@pytest.mark.slow
+def test_the_command_serves_a_map_until_it_is_interrupted(reach, tmp_path):
+    pytest.importorskip("viser")
+    pytest.importorskip("tensorstore")
+    reach.save(tmp_path / "map.zarr")
+    command = [sys.executable, "-m", "ikjax.cli", "show", "map.zarr", "--viewer", "--port", "8767"]
+    path = {**os.environ, "PYTHONPATH": os.pathsep.join(map(os.path.abspath, filter(None, sys.path)))}
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True, env=path) as program:
+        try:
+            said = next(line for line in program.stdout if line.startswith("the map is at "))
+            with urllib.request.urlopen(said.split()[4].rstrip(",")) as page:
+                assert page.status == 200 and b"<html" in page.read()
+            program.send_signal(signal.SIGINT)
+            assert program.wait(60) == 0
+        finally:
+            program.kill()
 
 
 @pytest.mark.slow
