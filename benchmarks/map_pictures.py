@@ -60,22 +60,19 @@ def sampled(ours, shown: list, path: Path) -> None:
         for ax, (_, share, errors) in zip(axes[1, 1:], shown, strict=True):
             gap = (share - truth)[:, layer].T
             apart = ax.imshow(gap, cmap=DIVERGING, vmin=-1, vmax=1, **settings)
-            missed = np.where((share == 0) & (truth > 0), 1.0, np.nan)[:, layer]
-            at = np.argwhere(missed == 1)
-            ax.plot(x[at[:, 0]], z[at[:, 1]], ".", color="black", ms=2)
             ax.set_title("{cells missed:.1%} missed, {cells more:.1%} more".format(**errors), loc="left")
         for ax in (*axes[0], *axes[1, 1:]):
             ax.set(aspect="equal", xticks=(-0.5, 0, 0.5), yticks=(-0.5, 0, 0.5))
         axes[0, 0].set(xlabel="x [m]", ylabel="z [m]")
         figure.colorbar(image, ax=axes[0], format="{x:.0%}", label="orientations reached", pad=0.01)
         bar = figure.colorbar(apart, ax=axes[1], format="{x:+.0%}", pad=0.01)
-        bar.set_label("sampled less ours; dots: no mark at all")
+        bar.set_label("sampled less ours")
         _errors(axes[1, 0], shown)
     finish(figure, path)
 
 
 def _errors(ax, shown: list) -> None:
-    for k, name in enumerate(("cells missed", "cells more", "positions missed")):
+    for k, name in enumerate(("cells missed", "cells more", "positions more")):
         values = [100 * errors[name] for *_, errors in shown]
         ax.loglog([n for n, *_ in shown], np.maximum(values, 1e-3), "o-", ms=4, color=COLOURS[k], label=name)
     ax.set(xlabel="samples", ylabel="% of what is reached", ylim=(1e-3, 300))

@@ -104,7 +104,9 @@ def _sampled(arm, given) -> str:
         shown.append((theirs.samples, marks.sum(-1) / orientations.count, errors))
         rates = [theirs.samples / theirs.seconds / 1e6, theirs.seconds / own]
         body.append([f"{theirs.samples:,}", f"{theirs.seconds:.2f}", *(report.figure(x) for x in rates)])
-        body[-1] += [f"{errors[key]:.2%}" for key in ERRORS]
+        told = {key: f"{errors[key]:.2%}" for key in ERRORS}
+        told["cells missed"] += f" ({(truth & ~marks).sum():,})"
+        body[-1] += told.values()
         kept.append(marks.copy())
         print(" | ".join(body[-1]), file=sys.stderr, flush=True)
     for line, marks in zip(body, kept, strict=True):
