@@ -1,9 +1,10 @@
-"""What maps cost: `python benchmarks/maps.py rates|linear|rivals|devices|all [--quick]`.
+"""What maps cost: `python benchmarks/maps.py rates|linear|rivals|devices|types|all [--quick]`.
 
     rates     sweeps of five arms in both types; `--only ARM` for one of them
     linear    time and memory from 10^6 to 10^9 goals, a process each, and what storing takes of the time
     rivals    EAIK in the same loop, and maps of sampled joints, on the same grids in the same run
     devices   two devices, and two processes, against one, on the same cores
+    types     float32, and float32 certified, against float64
     all       all of these; with `--out` and `--pictures` what `make maps` writes
 
 What each figure means: README.md.
@@ -23,6 +24,7 @@ import map_devices
 import map_growth
 import map_rates
 import map_rivals
+import map_types
 import report
 
 PARTS = {
@@ -30,6 +32,7 @@ PARTS = {
     "linear": map_growth.measure,
     "rivals": map_rivals.measure,
     "devices": map_devices.measure,
+    "types": map_types.measure,
 }
 
 
