@@ -14,7 +14,14 @@ import ikjax
 
 RUNS = 5
 NEAR = ikjax.Near(position=0.001, rotation=0.2)
-GOALS = {"puma560": 3e8, "ur5": 1e8, "ur5e": 5e7, "quartic": 1.5e7, "so101": 5e7, "so101, near": 2e7}
+GOALS = {
+    "puma560": 3e8,
+    "ur5": 6e7,
+    "ur5e": 4e7,
+    "quartic": 1e7,
+    "so101": 3e7,
+    "so101, near": 1e7,
+}
 QUICK = 2e6
 TARGETS = {
     ("puma560", "float32"): 80,
