@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 from ikjax.solvers import (
     five_axis,
+    five_held,
     five_nearest,
     ortho_parallel_wrist,
     parallel_axes,
@@ -14,7 +15,7 @@ from ikjax.solvers import (
     scara,
     three_parallel,
 )
-from ikjax.solvers.branch import Branch
+from ikjax.solvers.branch import Branch, Joints
 
 
 class Family(NamedTuple):
@@ -30,6 +31,10 @@ class Family(NamedTuple):
     """XLA can compute all masks in one fused loop; see `ik.graph`."""
     nearest: Callable[..., tuple[Branch, ...]] | None = None
     """Every slot for a goal that cannot be reached, where clamping `branches` would not hold its point."""
+    held: Callable[..., list[Joints]] | None = None
+    """(signs, links, goal, setting, ends) -> joints likewise, one of them at one of its ends."""
+    may_hold: tuple[int, ...] = ()
+    """Joints that `held` holds."""
 
 
 FAMILIES = {
@@ -39,7 +44,15 @@ FAMILIES = {
     "pieper_reversed": Family(pieper.reversed_branches, first=0, last=3),
     "parallel_axes": Family(parallel_axes.branches, first=0, last=0),
     "scara": Family(scara.branches, first=0, last=0, small=True),
-    "five_axis": Family(five_axis.branches, first=0, last=0, small=True, nearest=five_nearest.branches),
+    "five_axis": Family(
+        five_axis.branches,
+        first=0,
+        last=0,
+        small=True,
+        nearest=five_nearest.branches,
+        held=five_held.branches,
+        may_hold=five_held.HELD,
+    ),
     "turret": Family(scara.turret_branches, first=0, last=0, small=True),
     "planar_pose": Family(planar.branches, first=0, last=0, small=True),
     "planar_position": Family(planar.branches, first=0, last=0, small=True),

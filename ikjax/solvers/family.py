@@ -14,7 +14,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from ikjax.arm.arm import Arm, numbers
-from ikjax.arm.forward import Joint, Link, advance, corrections, coupled, fixed_pose, links, strip
+from ikjax.arm.forward import (
+    Joint,
+    Link,
+    advance,
+    corrections,
+    coupled,
+    fixed_pose,
+    known_sincos,
+    links,
+    strip,
+)
 from ikjax.core import pose as poses
 from ikjax.core import safe, vector
 from ikjax.core.pose import Pose
@@ -187,7 +197,7 @@ def solve_scalars(
         slots.append(
             Slot(
                 branch.joints,
-                motors(_joint_values(frame, branch)),
+                motors(_joint_values(frame, branch.joints)),
                 valid,
                 frame.reach * jnp.minimum(branch.margin, 1),
                 branch.continuum,
@@ -210,7 +220,27 @@ def proposed(
     family = FAMILIES[str(arm.family)]
     branches = (family.nearest or family.branches)(arm.signs, frame.links, tip, setting)
     motors = _motors(arm)
-    return [motors(_joint_values(frame, branch)) for branch in branches]
+    return [motors(_joint_values(frame, branch.joints)) for branch in branches]
+
+
+def proposed_at_ends(
+    arm: Arm, goal: Pose, hold: Callable[[Scalar], Scalar] | None = None
+) -> list[tuple[Scalar, ...]]:
+    """As `proposed`, with one joint at one of its limits; none where no joint has any or may be held so."""
+    family, ends = FAMILIES[str(arm.family)], {}
+    for joint in family.may_hold:
+        angles = [vector.plus(links(arm)[joint].theta, end) for end in numbers(arm.limits[joint])]
+        angles = [x for x in angles if not isinstance(x, float) or math.isfinite(x)]
+        # An end that may turn out not to be one becomes some angle.
+        ends[joint] = [
+            known_sincos(x if isinstance(x, float) else jnp.where(jnp.isfinite(x), x, 0)) for x in angles
+        ]
+    if family.held is None or not any(ends.values()):
+        return []
+    frame, tip, setting = _set(arm, goal, None, hold, None)
+    motors = _motors(arm)
+    found = family.held(arm.signs, frame.links, tip, setting, ends)
+    return [motors(_joint_values(frame, joints)) for joints in found]
 
 
 def _set(arm: Arm, goal: Pose, now, hold, share) -> tuple[Frame, Pose, Setting]:
@@ -297,9 +327,9 @@ def _carried(point: vector.Vector, link: Link, joint: Joint) -> vector.Vector:
     return vector.add(vector.rotate(step.rotation, point), step.position)
 
 
-def _joint_values(frame: Frame, branch: Branch) -> tuple[Scalar, ...]:
+def _joint_values(frame: Frame, joints: Joints) -> tuple[Scalar, ...]:
     values = []
-    for link, joint in zip(frame.links, branch.joints, strict=True):
+    for link, joint in zip(frame.links, joints, strict=True):
         if isinstance(joint, Slide):
             values.append(frame.reach * joint.value)
             continue

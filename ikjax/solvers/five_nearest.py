@@ -48,6 +48,8 @@ class Hand(NamedTuple):
     """Of the tool point on axis 5, in frame 1."""
     pitch: SinCos
     roll: SinCos
+    rotation: vector.Matrix
+    """Of the goal, seen from frame 1."""
 
 
 def branches(
@@ -59,9 +61,9 @@ def branches(
     slots: dict[int, Branch] = {}
     for first in (0, 1):
         side = bits(first)[0] * safe.sign(one.a)
-        hand = _hand(signs, links, goal, side, setting)
+        hand = hand_of(signs, links, goal, side, setting)
         base = hand.base
-        ahead, aside = _turned(_wrist(signs, four, setting), hand.pitch)
+        ahead, aside = turned(wrist_of(signs, four, setting), hand.pitch)
         roll = setting.angle(*hand.roll)
         for height in (1, -1):
             left = up * s1 * side * height
@@ -74,7 +76,7 @@ def branches(
     return tuple(slots[slot] for slot in range(4))
 
 
-def _hand(signs, links: tuple[Link, ...], goal: Pose, side: Scalar, setting: Setting) -> Hand:
+def hand_of(signs, links: tuple[Link, ...], goal: Pose, side: Scalar, setting: Setting) -> Hand:
     """Joint 1 on one side, and the nearest hand that it allows."""
     x, y, _ = setting.tool
     point = vector.add(goal.position, vector.rotate(goal.rotation, setting.tool))
@@ -104,17 +106,17 @@ def _held(signs, links: tuple[Link, ...], goal: Pose, foot, side: Scalar, settin
     n = seen.rotation[0][2], seen.rotation[1][2]
     weight = c23 * s4 * safe.reciprocal_sqrt(n[0] * n[0] + n[1] * n[1])
     pitch = setting.hold(n[0] * weight), setting.hold(jnp.where(weight == 0, 1, -n[1] * weight))
-    pitch = _reachable(pitch, (x, y), _wrist(signs, four, setting), two, three)
+    pitch = _reachable(pitch, (x, y), wrist_of(signs, four, setting), two, three)
     pitch = setting.hold(pitch[0]), setting.hold(pitch[1])
-    return Hand(base, (x, y), pitch, _roll(seen.rotation, pitch, c23, four, setting))
+    return Hand(base, (x, y), pitch, roll_of(signs, seen.rotation, pitch, four, setting), seen.rotation)
 
 
-def _wrist(signs, four: Link, setting: Setting) -> tuple[Scalar, Scalar]:
+def wrist_of(signs, four: Link, setting: Setting) -> tuple[Scalar, Scalar]:
     """From axis 4 to the foot, at pitch zero."""
     return four.a, times(-float(signs[2] * signs[3]), times(four.sin_alpha, setting.tool[2]))
 
 
-def _turned(point: tuple[Scalar, Scalar], angle: SinCos) -> tuple[Scalar, Scalar]:
+def turned(point: tuple[Scalar, Scalar], angle: SinCos) -> tuple[Scalar, Scalar]:
     (x, y), (sine, cosine) = point, angle
     return plus(times(x, cosine), times(-sine, y)), plus(times(x, sine), times(cosine, y))
 
@@ -122,7 +124,7 @@ def _turned(point: tuple[Scalar, Scalar], angle: SinCos) -> tuple[Scalar, Scalar
 def _reachable(pitch: SinCos, foot, wrist, two: Link, three: Link) -> SinCos:
     """The nearest pitch at which the links reach axis 4."""
     low, high = ring(two.a, three.a)
-    (x, y), (u, v) = foot, _turned(wrist, pitch)
+    (x, y), (u, v) = foot, turned(wrist, pitch)
     far, span = x * x + y * y, plus(times(wrist[0], wrist[0]), times(wrist[1], wrist[1]))
     # |foot - (u, v)| is within the ring where their product is between these.
     product, cross = x * u + y * v, x * v - y * u
@@ -140,9 +142,9 @@ def _reachable(pitch: SinCos, foot, wrist, two: Link, three: Link) -> SinCos:
     return pitch[0] * cosine + pitch[1] * sine, pitch[1] * cosine - pitch[0] * sine
 
 
-def _roll(rotation, pitch: SinCos, c23: float, four: Link, setting: Setting) -> SinCos:
+def roll_of(signs, rotation, pitch: SinCos, four: Link, setting: Setting) -> SinCos:
     """The roll that brings Rz(pitch) Rx(tilt) Rz(roll) nearest to a rotation seen from frame 1."""
-    p_sin, p_cos = pitch
+    (p_sin, p_cos), c23 = pitch, float(signs[2] * signs[3])
     ahead = [p_cos * rotation[0][k] + p_sin * rotation[1][k] for k in (0, 1)]
     aside = [p_cos * rotation[1][k] - p_sin * rotation[0][k] for k in (0, 1)]
     t_sin, t_cos = times(c23, four.sin_alpha), times(c23, four.cos_alpha)
@@ -157,12 +159,12 @@ def _carried(signs, links: tuple[Link, ...], hand: Hand, tool) -> vector.Vector:
     one, four = links[0], links[3]
     c23 = float(signs[2] * signs[3])
     t_sin, t_cos = times(c23, four.sin_alpha), times(c23, four.cos_alpha)
-    x, y = _turned(tool, hand.roll)
+    x, y = turned(tool, hand.roll)
     y, z = times(t_cos, y), times(t_sin, y)
-    x, y = _turned((x, y), hand.pitch)
+    x, y = turned((x, y), hand.pitch)
     y, z = (
         plus(times(one.cos_alpha, y), times(-1.0, times(one.sin_alpha, z))),
         plus(times(one.sin_alpha, y), times(one.cos_alpha, z)),
     )
-    x, y = _turned((x, y), (hand.base.turn.sin, hand.base.turn.cos))
+    x, y = turned((x, y), (hand.base.turn.sin, hand.base.turn.cos))
     return x, y, z

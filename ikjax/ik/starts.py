@@ -1,0 +1,80 @@
+"""Where a descent starts beside the branches of the closed form.
+
+Storey: ik. Limits, and joints too few, make basins that no branch leads to.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ikjax.arm.arm import Arm
+from ikjax.core.trig import Scalar
+from ikjax.ik import blocks
+from ikjax.ik.descent import TURN, bounds
+from ikjax.ik.graph import Entries, entries_of
+from ikjax.ik.refine import asked
+from ikjax.ik.solve import is_traced
+from ikjax.solvers.family import proposed, proposed_at_ends
+
+
+def at_limits(arm: Arm, goals: jax.Array) -> jax.Array:
+    """Starts with a joint at a limit by the closed form, (..., S, n), for an arm whose family has them.
+
+    Each joint that the family may hold, at each of its limits, with every branch of the rest; and of these
+    and of the branches the same with the last joint at that limit which is further off: on both sides of the
+    gap in its range there is a basin.
+    """
+    if not is_traced((arm, goals)):
+        found = blocks.in_blocks(_AtLimits(), arm, goals.reshape(-1, 4, 4))
+        return found.reshape(*goals.shape[:-2], *found.shape[1:])
+    arm, goals = jax.lax.stop_gradient((arm, goals))
+    rows = _at_limits(arm if is_traced(arm) else arm.baked(), entries_of(goals))
+    return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+@dataclasses.dataclass(frozen=True)
+class _AtLimits:
+    """A block of goals."""
+
+    def __call__(self, arm: Arm, goals: jax.Array) -> jax.Array:
+        columns = blocks.columns_of(goals)
+        rows = _at_limits(arm, tuple(tuple(columns[4 * i + j] for j in range(4)) for i in range(4)))
+        return blocks.packed([x for row in rows for x in row]).reshape(-1, len(rows), arm.n)
+
+
+def _at_limits(arm: Arm, entries: Entries) -> list[tuple[jax.Array, ...]]:
+    goal, _, near = asked(arm, entries)
+    shape = goal.position[0].shape
+    ends = proposed_at_ends(arm, goal, near)
+    low, high = bounds(arm)[-1]
+    rows = [*ends, *((*q[:-1], _further(q[-1], low, high)) for q in [*proposed(arm, goal, near), *ends])]
+    return [tuple(near(jnp.broadcast_to(x, shape)) for x in q) for q in rows]
+
+
+def _further(x: Scalar, low: Scalar, high: Scalar) -> Scalar:
+    """The limit further off round the circle; without limits the opposite angle."""
+    low, high = (jnp.asarray(limit, x.dtype) for limit in (low, high))
+    limited = jnp.isfinite(low) & jnp.isfinite(high)
+    middle = jnp.where(limited, low / 2 + high / 2, 0)
+    away = x - middle - TURN * jnp.round((x - middle) * (1 / TURN))
+    opposite = jnp.where(x > 0, x - TURN / 2, x + TURN / 2)
+    return jnp.where(limited, jnp.where(away < 0, high, low), opposite)
+
+
+def scattered(arm: Arm, batch: tuple[int, ...], count: int):
+    """Joints spread evenly over the limits, the same for every goal, (..., S, n).
+
+    Source: the additive recurrence R_d of Roberts, The unreasonable effectiveness of quasirandom
+    sequences (2018).
+    """
+    root = 1.5
+    for _ in range(64):
+        root = (1 + root) ** (1 / (arm.n + 1))
+    shares = np.outer(np.arange(1, count + 1), root ** -np.arange(1.0, arm.n + 1)) % 1
+    low, high = arm.limits[:, 0], arm.limits[:, 1]
+    widest = jnp.asarray([np.pi if kind == "R" else 1 for kind in arm.kinds], arm.dtype)
+    low, high = jnp.maximum(low, -widest)[None], jnp.minimum(high, widest)[None]
+    starts = low + (high - low) * jnp.asarray(shares, arm.dtype)
+    return jnp.broadcast_to(starts, (*batch, *starts.shape))
