@@ -79,7 +79,7 @@ def best_margin(arm: Arm, sol: Solutions, *, blur=0.0, limits: bool = True) -> j
 
     Outside the workspace it says how far the goal is from a fold, joint limits aside, and has the slope that
     leads there.
-    The families whose margin is no length (`pieper`, `position`, `parallel_axes`) keep its sign and zero.
+    Where a quartic is solved (`pieper`, `position`, `parallel_axes`) it is that distance to first order.
 
     Args:
         arm: The arm.

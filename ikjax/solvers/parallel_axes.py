@@ -211,13 +211,20 @@ def _pairs(equations: tuple[Equation, Equation], splits: int, joints, setting: S
     scale = safe.divide(1, sum(abs(x) for x in harmonics))
     harmonics = tuple(setting.keep(x * scale) for x in harmonics)
     found = circle_quartic(harmonics, setting.keep)
+
+    def length(value, sine, cosine):
+        # The right side of the second equation follows the goal along h, one for one.
+        cos_b, sin_b = ec - ac * cosine - bc * sine, es - as_ * cosine - bs * sine
+        slope = 2 * scale * abs(weight * (one.c * sin_b - one.d * cos_b))
+        return value / jnp.maximum(slope, setting.tiny)
+
     pairs = []
     for root in (found.rising[0], found.falling[0], found.rising[1], found.falling[1]):
         cosine, sine = ec - ac * root.cos - bc * root.sin, es - as_ * root.cos - bs * root.sin
         size = safe.reciprocal_sqrt(cosine * cosine + sine * sine)
         turn = setting.hold(sine * size), setting.hold(jnp.where(size == 0, 1, cosine * size))
         first, second = _polished(equations, (root.sin, root.cos), turn, root.real, setting)
-        pairs.append(Pair(first, second, clearance(harmonics, found, root)))
+        pairs.append(Pair(first, second, clearance(harmonics, found, root, length)))
     return pairs
 
 

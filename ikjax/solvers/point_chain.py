@@ -46,6 +46,10 @@ class Poly(NamedTuple):
         high = plus(times(times(self.uu, u), u), times(times(self.uv, u), v))
         return plus(plus(low, high), times(times(self.vv, v), v))
 
+    def at_half_angle(self, sine: Scalar, cosine: Scalar) -> Scalar:
+        """In a slide of tan(t / 2), times cos(t / 2)^2."""
+        return (self.one * (1 + cosine) + self.u * sine + self.uu * (1 - cosine)) / 2
+
 
 class Chain(NamedTuple):
     """What the three links make of the point."""

@@ -34,7 +34,14 @@ from ikjax.core.trig import Scalar
 from ikjax.core.vector import Vector, plus, times
 from ikjax.solvers.branch import Joints, Setting, Slide, moved_on, placed
 from ikjax.solvers.point_chain import Chain, Poly, chain_of
-from ikjax.solvers.third_joint import circle_roots, half_angle_harmonics, harmonics_of, roots, second_degree
+from ikjax.solvers.third_joint import (
+    circle_roots,
+    half_angle_harmonics,
+    harmonics_of,
+    moved,
+    roots,
+    second_degree,
+)
 
 
 class Regional(NamedTuple):
@@ -121,11 +128,11 @@ def _two_turns(chain: Chain, wanted: Vector, how: str, setting: Setting):
     up = Poly(z).less(chain.h[2].times(c))
     answers = []
     if how == "":
-        thirds = _quartic_of_two_turns(chain, ahead, up, setting)
+        thirds = _quartic_of_two_turns(chain, ahead, up, (x, y, z), setting)
     elif how == "meet":
         thirds = roots(chain, ahead, setting, safe.sqrt(span_squared))
     else:
-        thirds = roots(chain, up, setting, 1.0)
+        thirds = roots(chain, up, setting)
     for third in thirds:
         h1, h2, h3 = (setting.hold(p.at(third.u, third.v)) for p in chain.h)
         if how == "":
@@ -134,9 +141,17 @@ def _two_turns(chain: Chain, wanted: Vector, how: str, setting: Setting):
             second, free = setting.between(1, (h1, h2), (g1, g2))
             seconds = [(second, jnp.inf, free)]
         elif how == "meet":
-            seconds = _turns(h2, h1, up.at(third.u, third.v) / s, setting)
+            # A height of s makes one of its right side.
+            seconds = [
+                (second, abs(s) * margin, free)
+                for second, margin, free in _turns(h2, h1, up.at(third.u, third.v) / s, setting)
+            ]
         else:
-            seconds = _turns(h1, -h2, ahead.at(third.u, third.v) / (2 * one.a), setting)
+            gap = ahead.at(third.u, third.v)
+            seconds = [
+                (second, moved(safe.sqrt(span_squared), abs(2 * one.a) * margin, safe.sign(gap)), free)
+                for second, margin, free in _turns(h1, -h2, gap / (2 * one.a), setting)
+            ]
         for second, margin, free in seconds:
             g1, g2 = second.cos * h1 - second.sin * h2, second.sin * h1 + second.cos * h2
             arm = (plus(one.a, g1), plus(times(c, g2), times(-s, h3)))
@@ -146,13 +161,22 @@ def _two_turns(chain: Chain, wanted: Vector, how: str, setting: Setting):
     return tuple(answers)
 
 
-def _quartic_of_two_turns(chain: Chain, ahead: Poly, up: Poly, setting: Setting):
+def _quartic_of_two_turns(chain: Chain, ahead: Poly, up: Poly, wanted: Vector, setting: Setting):
     one = chain.links[0]
     a, s = times(2.0, one.a), one.sin_alpha
+    x, y, z = wanted
+
+    def slope(ahead, up):
+        """Of (s ahead)^2 + (a up)^2 in the point, of which ahead is the square and up the height."""
+        level, rise = 2 * s * s * ahead, a * a * up
+        return 2 * safe.norm(level * x, level * y, level * z + rise)
+
     if chain.kinds[2] == "R":
         left = ahead.square().times(times(s, s)).plus(up.square().times(times(a, a)))
         whole = left.less(chain.across_squared.times(times(times(a, a), times(s, s))))
-        return circle_roots(chain, harmonics_of(whole), setting)
+        return circle_roots(
+            chain, harmonics_of(whole), setting, lambda v, u: slope(ahead.at(u, v), up.at(u, v))
+        )
     square = [0.0] * 5
     for i, p in enumerate((ahead.one, ahead.u, ahead.uu)):
         for j, q in enumerate((ahead.one, ahead.u, ahead.uu)):
@@ -160,7 +184,13 @@ def _quartic_of_two_turns(chain: Chain, ahead: Poly, up: Poly, setting: Setting)
     rest = up.square().less(chain.across_squared.times(times(s, s))).times(times(a, a))
     for i, p in enumerate((rest.one, rest.u, rest.uu)):
         square[i] = plus(square[i], p)
-    return circle_roots(chain, half_angle_harmonics(square), setting)
+
+    def half_angle_slope(sine, cosine):
+        """Times cos(t / 2)^4, as the polynomial is."""
+        square = (1 + cosine) / 2
+        return square * slope(ahead.at_half_angle(sine, cosine), up.at_half_angle(sine, cosine))
+
+    return circle_roots(chain, half_angle_harmonics(square), setting, half_angle_slope)
 
 
 def _turn_slide(chain: Chain, wanted: Vector, how: str, setting: Setting):
@@ -174,7 +204,7 @@ def _turn_slide(chain: Chain, wanted: Vector, how: str, setting: Setting):
     around = x * x + y * y
     answers = []
     if how == "square":
-        for third in roots(chain, Poly(z).less(g2.times(s)), setting, 1.0):
+        for third in roots(chain, Poly(z).less(g2.times(s)), setting):
             gap = around - ahead.at(third.u, third.v) ** 2
             for side in (1, -1):
                 g3 = -s * side * setting.root(gap)
@@ -183,7 +213,12 @@ def _turn_slide(chain: Chain, wanted: Vector, how: str, setting: Setting):
     else:
         aside = g2.less(Poly(times(s, z))).times(1 / c)
         square = ahead.square().plus(aside.square()).less(Poly(around))
-        for third in second_degree(chain, square, setting):
+
+        def slope(u, v):
+            slant = aside.at(u, v) * s / c
+            return 2 * safe.sqrt(around + slant * slant)
+
+        for third in second_degree(chain, square, setting, slope):
             g3 = (z - s * g2.at(third.u, third.v)) / c
             answers.append((third, g3, third.margin))
     ways = []
@@ -204,11 +239,16 @@ def _slide_turn(chain: Chain, wanted: Vector, how: str, setting: Setting):
     h1, h2, h3 = chain.h
     ways = []
     if how == "square":
-        thirds = roots(chain, Poly(y).plus(h3.times(s)), setting, 1.0)
+        thirds = roots(chain, Poly(y).plus(h3.times(s)), setting)
     else:
         g2 = Poly(y).plus(h3.times(s)).times(1 / c)
         square = g2.square().plus(Poly(g1 * g1)).less(chain.across_squared)
-        thirds = second_degree(chain, square, setting)
+
+        def slope(u, v):
+            slant = g2.at(u, v) / c
+            return 2 * safe.sqrt(g1 * g1 + slant * slant)
+
+        thirds = second_degree(chain, square, setting, slope)
     for third in thirds:
         at = [p.at(third.u, third.v) for p in (h1, h2, h3)]
         if how == "square":
@@ -234,7 +274,7 @@ def _two_slides(chain: Chain, wanted: Vector, how: str, setting: Setting):
     h1, h2, h3 = chain.h
     g1, g2 = h1.times(cosine).less(h2.times(sine)), h1.times(sine).plus(h2.times(cosine))
     ways = []
-    for third in roots(chain, Poly(x - one.a).less(g1), setting, 1.0):
+    for third in roots(chain, Poly(x - one.a).less(g1), setting):
         across, above = g2.at(third.u, third.v), h3.at(third.u, third.v)
         second = Slide((times(c, across) - y) / s - above)
         first = Slide(z - one.d - (times(s, across) + times(c, above + second.value)))

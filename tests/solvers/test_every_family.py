@@ -256,6 +256,37 @@ def test_margin_is_positive_where_a_slot_is_valid_and_negative_out_of_reach(name
         assert not far.valid.any() and (far.margin.max(-1) < 0).all()
 
 
+def _slow(*names):
+    return [pytest.param(name, marks=pytest.mark.slow) for name in names]
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "RRR, wrist",
+        *_slow("RRP, point", "RPR, wrist", "wrist first, RRRRRR", "3, 4, 5 parallel"),
+    ],
+)
+def test_margin_of_a_quartic_is_the_distance_from_its_fold(name):
+    # A distance's slope has length one.
+    arm = every.build(name)
+    goals, reach = every.arms.numpy_fk(arm, every.joints(arm, 1000)), arms.reach(arm)
+    goals[:, :3, 3] *= np.linspace(0.7, 1.6, 1000)[:, None]
+
+    def margins(k, by):
+        moved = goals.copy()
+        moved[:, k, 3] += by * reach
+        return np.asarray(arms.solve_by_hand(arm, moved).margin)
+
+    slope = np.linalg.norm(
+        [(margins(k, 1e-6) - margins(k, -1e-6)) / (2e-6 * reach) for k in range(3)], axis=0
+    )
+    margin = margins(0, 0.0) / reach
+    for near in ((margin > 0) & (margin < 3e-3), (margin < 0) & (margin > -3e-3)):
+        assert near.sum() > 20
+        assert 0.9 < np.median(slope[near]) < 1.15
+
+
 @pytest.mark.parametrize("name", ["RRR meet, wrist", "RRP meet, point", "RRR square, point"])
 def test_joint_1_follows_q_now_where_it_is_arbitrary(name):
     arm = every.build(name)
