@@ -92,6 +92,7 @@ def test_a_sweep_killed_at_a_write_goes_on_to_the_same_bits(whole, memory, tmp_p
 
 
 @pytest.mark.long
+@pytest.mark.timeout(3600)
 def test_two_hundred_kills(whole, memory, tmp_path):
     steps = [str(step) for step in range(1, small.STEPS + 3)]
     times = [f"{t:.4f}" for t in np.linspace(0.15, 0.9, 200 - len(steps))]
