@@ -39,18 +39,46 @@ def singular_values(columns: Sequence[Column]) -> tuple[jax.Array, ...]:
 @singular_values.defjvp
 def _(primals, tangents):
     (columns,), (rates,) = primals, tangents
+    lefts, rights = _vectors(columns)
+    values = tuple(map(_length, lefts))
+    moves = [_dot(left, _times(rates, right)) for left, right in zip(lefts, rights, strict=True)]
+    return values, tuple(map(safe.divide, moves, values))
+
+
+@jax.custom_jvp
+def _vectors(columns: Sequence[Column]) -> tuple[list[Column], list[Column]]:
+    """The columns after all turns, and the right-hand vectors that belong to them."""
     rows, one = len(columns[0]), jnp.ones_like(columns[0][0])
     # Beneath each column, where it went: those entries become the right-hand vectors.
     places = [[one if i == j else 0 * one for i in range(len(columns))] for j in range(len(columns))]
     both = _turned([(*c, *e) for c, e in zip(columns, places, strict=True)], rows)
-    values, slopes = [], []
-    for column in both:
-        left, right = column[:rows], column[rows:]
-        value = _length(left)
-        moved = (v * _dot(left, rate) for v, rate in zip(right, rates, strict=True))
-        values.append(value)
-        slopes.append(safe.divide(sum(moved), value))
-    return tuple(values), tuple(slopes)
+    return [c[:rows] for c in both], [c[rows:] for c in both]
+
+
+@_vectors.defjvp
+def _(primals, tangents):
+    """For slopes of slopes: the columns stay square to each other, two of one length turn nothing."""
+    (columns,), (rates,) = primals, tangents
+    lefts, rights = _vectors(columns)
+    moved = [_times(rates, right) for right in rights]
+    squares, count = [_dot(w, w) for w in lefts], range(len(lefts))
+    turns = {}
+    for i in count:
+        for j in range(i):
+            slip = _dot(lefts[i], moved[j]) + _dot(lefts[j], moved[i])
+            turns[i, j] = safe.divide(slip, squares[j] - squares[i])
+            turns[j, i] = -turns[i, j]
+
+    def turned(vectors, still):
+        return [
+            tuple(
+                still[j][k] + sum(vectors[i][k] * turns[i, j] for i in count if i != j) for k in range(size)
+            )
+            for size, j in ((len(vectors[0]), j) for j in count)
+        ]
+
+    zeros = [[0.0] * len(columns)] * len(columns)
+    return (lefts, rights), (turned(lefts, moved), turned(rights, zeros))
 
 
 def _turned(columns: Sequence[Column], rows: int) -> list[Column]:
@@ -89,3 +117,8 @@ def _length(column: Column) -> Scalar:
 
 def _dot(u: Column, v: Column) -> Scalar:
     return sum(x * y for x, y in zip(u, v, strict=True))
+
+
+def _times(columns: Sequence[Column], factors: Column) -> Column:
+    """The sum of the columns, each by its factor."""
+    return tuple(_dot(row, factors) for row in zip(*columns, strict=True))

@@ -160,3 +160,44 @@ def test_a_limit_distance_is_positive_just_where_a_branch_is_within_limits():
 def test_joints_of_another_number_are_refused():
     with pytest.raises(ValueError, match=r"q must have shape \(..., 6\)"):
         ikjax.manipulability(ikjax.robots.puma560(), np.zeros(5))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param("planar_3r", marks=pytest.mark.slow), pytest.param("puma560", marks=pytest.mark.long)],
+)
+def test_second_slopes_through_solve_are_those_of_differences_and_finite_at_singularities(name, rng):
+    arm = ikjax.robots.get(name)
+    arm = dataclasses.replace(arm, limits=jnp.asarray([[-2.5, 2.9]] * arm.n))
+    corners = np.concatenate([np.zeros((1, arm.n)), rng.integers(-2, 3, (8, arm.n)) * np.pi / 2])
+    goals = ikjax.fk(arm, np.concatenate([rng.uniform(-2.4, 2.4, (12, arm.n)), corners]))
+    edge = jnp.stack([goals[0].at[:3, 3].multiply(20), jnp.full((4, 4), jnp.nan)])
+    goals = jnp.concatenate([goals, edge])
+    # Shifts in the plane, a turn about z, and two lengths.
+    zero = jnp.zeros(5)
+
+    def measures(t, goal):
+        turn = jnp.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 0]])
+        # A row of NaN would have rates of NaN, which no slope of ours can mend.
+        proper = jnp.where(jnp.isfinite(goal[:3, :3]), goal[:3, :3], 0)
+        rotation = goal[:3, :3] + (t[2] * turn + t[2] ** 2 / 2 * turn @ turn) @ proper
+        goal = goal.at[:3, :3].set(rotation).at[:2, 3].add(t[:2])
+        other = dataclasses.replace(arm, a=arm.a.at[1:3].add(t[3:]))
+        q = ikjax.solve(other, goal).q
+        return jnp.stack([*(measure(other, q) for measure in MEASURES), ikjax.limit_distance(other, q)])
+
+    first = jax.jit(jax.vmap(jax.jacfwd(measures), (None, 0)))
+    second = np.asarray(jax.jit(jax.vmap(jax.hessian(measures), (None, 0)))(zero, goals))
+    assert np.isfinite(second).all()
+    step = 1e-5
+    rows = [np.asarray(first(step * e, goals) - first(-step * e, goals)) for e in np.eye(5)]
+    rough = np.stack(rows, -1) / (2 * step)
+    sol = ikjax.solve(arm, goals)
+    values = np.linalg.svd(scaled_jacobian(arm, sol.q), compute_uv=False)
+    regular = np.asarray(sol.valid) & (values[..., -1] > 0.05) & (values[..., -2] - values[..., -1] > 0.02)
+    regular[12:] = False
+    # A limit distance has corners where another limit is the nearest: there the slope itself jumps.
+    smooth = regular[:, None] & (np.abs(rows).max((0, -1)) < 1e-2)
+    assert regular.sum() > 10 and smooth.sum() > 0.95 * 4 * regular.sum()
+    size = 1 + np.abs(rough).max((-1, -2), keepdims=True)
+    assert (np.abs(second - rough) / size)[smooth].max() < 1e-5
