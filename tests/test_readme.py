@@ -12,8 +12,8 @@ ROOT = pathlib.Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text()
 
 
-def blocks(language: str) -> list[str]:
-    return re.findall(rf"```{language}\n(.*?)```", README, re.S)
+def blocks(language: str, text: str = README) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", text, re.S)
 
 
 def run(command, cwd) -> subprocess.CompletedProcess:
@@ -23,6 +23,13 @@ def run(command, cwd) -> subprocess.CompletedProcess:
 
 @pytest.mark.parametrize("code", blocks("python"), ids=lambda code: f"{len(code)} characters")
 def test_the_python_of_the_readme_runs(code, tmp_path):
+    done = run([sys.executable, "-c", code], tmp_path)
+    assert done.returncode == 0, done.stderr[-2000:]
+
+
+@pytest.mark.slow
+def test_the_python_of_the_page_on_gradients_runs(tmp_path):
+    (code,) = blocks("python", (ROOT / "docs" / "gradients.md").read_text())
     done = run([sys.executable, "-c", code], tmp_path)
     assert done.returncode == 0, done.stderr[-2000:]
 
