@@ -22,7 +22,7 @@ from ikjax.study.sweep import SweepStoppedError
 def _study(options) -> recipe.Recipe:
     """What is asked for, by a file or by options."""
     if options.arm.endswith(".toml"):
-        for name in ("spacing", "orientations", "other_dtype"):
+        for name in ("spacing", "orientations", "other_dtype", "certify"):
             if getattr(options, name):
                 flag = "float64" if name == "other_dtype" else name
                 raise ValueError(f"--{flag} is for {options.arm} to say")
@@ -31,7 +31,8 @@ def _study(options) -> recipe.Recipe:
     orientations = 512 if options.orientations is None else options.orientations
     positions = ikjax.around(arm, options.spacing or 0.05)
     dtype = "float64" if options.other_dtype else "float32"
-    return recipe.Recipe(arm, positions, orientations, 1, recipe.STATISTICS, None, dtype)
+    kept = recipe.STATISTICS, None, dtype, options.certify
+    return recipe.Recipe(arm, positions, orientations, 1, *kept)
 
 
 def _join(options) -> None:

@@ -90,6 +90,7 @@ def parser() -> argparse.ArgumentParser:
     sweep.add_argument("--compare", metavar="MAP", help="an earlier map to compare with")
     sweep.add_argument("--picture", help="write a PNG here")
     _add_dtype(sweep, "--float64")
+    sweep.add_argument("--certify", action="store_true", help="solve in float64 what float32 is not sure of")
 
     show = command(run_show, "show", "Summary, page (HTML) and picture of a stored map, or of two compared.")
     show.add_argument("map")
