@@ -1,7 +1,7 @@
 """`refine`: from given joints down to the nearest attainable pose.
 
 Storey: ik. The default descends by damped Newton steps (`ik.descent`); any other loss by an optax optimiser.
-Called eagerly, all starts take a few steps and those that are not down yet take the rest.
+Called eagerly, all starts take a few steps, and those that are not down yet take more in turns.
 """
 
 import dataclasses
@@ -23,8 +23,8 @@ from ikjax.ik.stationary import with_slopes
 from ikjax.solvers.family import clean, proposed, reach
 
 STEPS = 60
-FIRST = 8
-"""Steps that every start of an eager call takes; most are down by then."""
+FIRST = 6
+"""Steps that every start of an eager call takes; those that are not down yet take as many again, and so on."""
 
 
 def refine(
@@ -253,13 +253,18 @@ def _in_blocks(arm: Arm, goals: jax.Array, starts, length, steps: int, priority:
     few = jnp.full(worth.shape, min(steps, FIRST), jnp.int32)
     block = _Descending(priority)
     found = blocks.in_blocks(block, arm, (flat, worth, few, starts, None))
-    if steps > FIRST:
+    done = FIRST
+    while done < steps:
         late = np.nonzero(~np.asarray(found["converged"]))
-        if late[0].size:
-            at, slot = (jnp.asarray(x) for x in late)
-            q, damping = found["q"][at, slot][:, None], found["damping"][at, slot][:, None]
-            rest = jnp.full((*at.shape, 1), steps - FIRST, jnp.int32)
-            more = blocks.in_blocks(block, arm, (flat[at], worth[at], rest, q, damping))
-            found = {name: x.at[at, slot].set(more[name][:, 0]) for name, x in found.items()}
+        if not late[0].size:
+            break
+        # Few are left after each turn, and all of a block take as many steps.
+        more = done if 3 * done < steps else steps - done
+        at, slot = (jnp.asarray(x) for x in late)
+        q, damping = found["q"][at, slot][:, None], found["damping"][at, slot][:, None]
+        turn = jnp.full((*at.shape, 1), more, jnp.int32)
+        rest = blocks.in_blocks(block, arm, (flat[at], worth[at], turn, q, damping))
+        found = {name: x.at[at, slot].set(rest[name][:, 0]) for name, x in found.items()}
+        done += more
     del found["damping"]
     return Projection(**{name: x.reshape(*batch, *x.shape[1:]) for name, x in found.items()})
