@@ -76,7 +76,8 @@ def check_goals(arm: Arm, goals) -> None:
 
 _HELD = (
     "project starts from each branch with the goal's point held and the nearest orientation that allows; "
-    "that the best of where they lead is the nearest of all poses was measured on samples, not proved."
+    "with limits also with joint 2 or 4 at one, or joint 5 beyond its gap; that the best of where they "
+    "lead is the nearest of all poses was measured on samples, not proved."
 )
 _BOTTOM = "no small move improves where they end; that it is the nearest of all poses is not proved."
 _CLAMPED = (

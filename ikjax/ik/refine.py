@@ -24,7 +24,7 @@ from ikjax.solvers.family import clean, proposed, reach
 
 STEPS = 60
 FIRST = 6
-"""Steps that every start of an eager call takes; those that are not down yet take as many again, and so on."""
+"""Steps that every start of an eager call takes; those not down yet take as many again, and so on."""
 
 
 def refine(
