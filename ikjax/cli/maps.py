@@ -27,6 +27,8 @@ def _study(options) -> recipe.Recipe:
                 flag = "float64" if name == "other_dtype" else name
                 raise ValueError(f"--{flag} is for {options.arm} to say")
         return recipe.read(options.arm)
+    if options.certify and options.other_dtype:
+        raise ValueError("--certify is for float32 sweeps; --float64 needs none")
     arm = recipe.find_arm(options.arm)
     orientations = 512 if options.orientations is None else options.orientations
     positions = ikjax.around(arm, options.spacing or 0.05)
