@@ -89,3 +89,20 @@ def test_a_least_value_has_the_slope_of_its_vectors(rng):
 @jax.jit
 def values_least(matrices):
     return jnp.min(jnp.stack(singular_values(columns(matrices)), axis=-1), axis=-1)
+
+
+@pytest.mark.slow
+def test_slopes_of_slopes_are_finite_and_those_of_differences(rng):
+    def measures(m):
+        values = jnp.stack(singular_values(columns(m)))
+        return jnp.stack([values.min(), values.min() / values.max(), values.prod()])
+
+    first, second = jax.jit(jax.vmap(jax.jacfwd(measures))), jax.jit(jax.vmap(jax.hessian(measures)))
+    whole = rng.integers(-1, 2, (200, 6, 3)) * rng.choice([1, 1e-8, 1e-17, 1e-100], (200, 6, 3))
+    whole = whole[np.abs(whole).max((-1, -2)) > 1e-90]
+    assert np.isfinite(second(whole)).all()
+    given, rates, step = rng.normal(size=(50, 6, 3)), rng.normal(size=(50, 6, 3)), 1e-5
+    rough = np.asarray(first(given + step * rates) - first(given - step * rates)) / (2 * step)
+    exact = np.einsum("nmijkl,nkl->nmij", second(given), rates)
+    size = 1 + np.abs(rough).max((1, 2, 3))[:, None, None, None]
+    assert (np.abs(exact - rough) / size).max() < 1e-6
