@@ -371,6 +371,40 @@ def test_margins_have_their_own_slope_inside_and_outside(name):
         assert close.mean() > 0.97
 
 
+LED = [family for family in FAMILIES if family not in ("turret", "five_axis")]
+"""Margins speak of folds: arms of fewer joints than the pose has may miss a goal within all of them."""
+
+
+@pytest.mark.parametrize(
+    "family", [pytest.param(family, marks=_mark(False, family == "planar_position")) for family in LED]
+)
+def test_margins_lead_in_from_outside(family):
+    arm, count = build(ONE_OF_EACH[family]).astype(np.float64), 60
+    size = arms.reach(arm)
+    goals = jnp.asarray(arms.numpy_fk(arm, every.joints(arm, count, seed=3)))
+    out = np.asarray(goals)[:, :3, 3] - np.asarray(arm.base)[:3, 3]
+    if arm.task.startswith("planar"):
+        up = every.plane_normal(arm)
+        out = out - (out @ up)[:, None] * up
+    out /= np.linalg.norm(out, axis=-1, keepdims=True)
+
+    @jax.jit
+    def climb(points):
+        def best(points):
+            sol = ikjax.solve(arm, goals.at[:, :3, 3].set(points))
+            return ikjax.smooth_max(sol.margin, 0.01 * size).sum(), sol.valid.any(-1)
+
+        return jax.grad(best, has_aux=True)(points)
+
+    points = np.asarray(goals[:, :3, 3]) + 0.8 * size * out
+    outside = ~np.asarray(climb(points)[1])
+    for step in 0.05 * size * 0.975 ** np.arange(120):
+        slope, reached = map(np.asarray, climb(points))
+        way = slope / np.maximum(np.linalg.norm(slope, axis=-1, keepdims=True), 1e-300)
+        points = np.where(reached[:, None], points, points + step * way)
+    assert outside.mean() > 0.7 and np.asarray(climb(points)[1])[outside].all()
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["puma560", "ur5", "RRR, wrist"])
 def test_slopes_of_a_million_goals_are_finite_half_of_them_at_edges(name, dtype):
