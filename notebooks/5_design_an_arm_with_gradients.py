@@ -11,6 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import ikjax
+from ikjax import plot
 
 arm = ikjax.robots.planar_2r(0.9, 0.3)
 r, turn = np.meshgrid(np.linspace(0.3, 1.0, 8), np.linspace(0, 2 * np.pi, 24, endpoint=False))
@@ -96,8 +97,85 @@ ax.set(xlabel="elbow [rad]")
 ax.legend()
 plt.show()
 
+# %% [markdown]
+# ## A PUMA with a metre to spend
+#
+# Where in the box around it does an arm of six joints reach half of all orientations, within its limits?
+# Each of 256 points is wished for in sixteen orientations; five lengths may move, a metre together.
+
+
+# %%
+def dexterous(points, seed):
+    goals = np.tile(np.eye(4), (points, 16, 1, 1))
+    goals[:, :, :3, 3] = np.random.default_rng(seed).uniform(-1, 1, (points, 3))[:, None]
+    goals[:, :, :3, :3] = ikjax.even_rotations(16)
+    return jnp.asarray(goals, jnp.float32)
+
+
+puma = ikjax.robots.puma560()
+vary = {"a1": (-0.02, 0.3), "a2": (0.1, 0.7), "a3": (0.005, 0.2), "d3": (0.005, 0.3), "d4": (0.1, 0.7)}
+metre = ikjax.design(
+    puma,
+    dexterous(256, 1),
+    vary,
+    "dexterity",
+    ties=["a1 + a2 + a3 + d3 + d4 = 1"],
+    steps=60,
+    starts=4,
+    limits=True,
+    blur=(0.1, 0.01),
+)
+print(metre.report(most=3))
+
+# %% [markdown]
+# The score counts the points it was climbed on. A sweep counts others: a grid over the same box, every
+# orientation of 64.
+
+# %%
+box = ikjax.grid((-1, -1, -1), (1, 1, 1), 0.1)
+before, after = (ikjax.sweep(each, box, 64) for each in (puma, metre.arm))
+half = [float((each.reachable_within >= 32).mean()) for each in (before, after)]
+print(f"half of all orientations: {half[0]:.1%} of the box before, {half[1]:.1%} after")
+plot.comparison(before, after)
+plt.show()
+
+# %% [markdown]
+# ## Before a workpiece
+#
+# A UR5e cannot reach all of a barrel two metres long. Where should it stand, and how should the tool sit?
+# 10,000 goals look into the barrel's side; base and tool have six numbers each.
+
+# %%
+along, around = (x.ravel() for x in np.meshgrid(np.linspace(-1, 1, 100), np.linspace(-1.2, 1.2, 100)))
+out = np.stack([-np.cos(around), 0 * around, np.sin(around)], -1)
+barrel = np.tile(np.eye(4), (len(along), 1, 1))
+barrel[:, :3, 3] = np.array([1.0, 0, 0.4]) + 0.5 * out + np.stack([0 * along, along, 0 * along], -1)
+barrel[:, :3, 2], barrel[:, :3, 1] = -out, [0, 1, 0]
+barrel[:, :3, 0] = np.cross(barrel[:, :3, 1], barrel[:, :3, 2])
+barrel = jnp.asarray(barrel, jnp.float32)
+vary = {
+    "base.xyz": (-0.5, 0.5), "base.turn": (-1.5, 1.5), "tool.xyz": (-0.15, 0.15), "tool.turn": (-1, 1),
+}  # fmt: skip
+ur5e = ikjax.robots.ur5e()
+stood = ikjax.design(ur5e, barrel, vary, "coverage", steps=60, starts=4, batch=2500, blur=(0.2, 0.005))
+reached = [np.asarray(ikjax.solve(each, barrel).valid.any(-1)) for each in (ur5e, stood.arm)]
+print(f"{reached[0].mean():.1%} of the barrel as given, {reached[1].mean():.1%} as placed")
+fig, axes = plt.subplots(1, 2, figsize=(8, 3), sharey=True)
+for ax, flag, title in zip(axes, reached, ("as given", "as placed"), strict=True):
+    ax.imshow(
+        flag.reshape(100, 100), extent=(-1, 1, -1.2, 1.2), origin="lower", aspect="auto", cmap="cividis"
+    )
+    ax.set(title=f"{title}: {flag.mean():.0%}", xlabel="along the barrel [m]")
+axes[0].set_ylabel("around it [rad]")
+plt.show()
+
+# %% [markdown]
+# `python benchmarks/design.py` sets these studies against random search and differential evolution.
+
 # %%
 assert np.abs(np.array(list(lengths.values.values())) - 0.65).max() < 5e-3
 assert lengths.reached.all() and lengths.score > 0.29
 assert placed.start_score < 0.7 and placed.reached.all()
 assert np.isfinite(slope).all()
+assert half[1] > 1.2 * half[0]
+assert reached[1].mean() > reached[0].mean() + 0.2
