@@ -64,7 +64,7 @@ def sweep(
         certify: Of a float32 sweep: solve those goals again in float64 of which float32 cannot say for sure
             which solutions there are: near a fold, a singularity or a limit. All that is added up is then as
             in a float64 sweep; greatest and least values stay those of float32. Needs jax_enable_x64;
-            on a CPU it is no faster than float64 (`benchmarks/certified.py`).
+            on a CPU it costs about what float64 costs (`benchmarks/maps.py types`).
         statistics: Which to keep, by name, or as `ikjax.Near(...)` or `ikjax.Measure(...)`: see
             `study.statistics`. What is not asked for is not computed.
         out: A folder, or a URL that tensorstore knows, where the map is stored unit by unit.
