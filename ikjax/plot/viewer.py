@@ -192,9 +192,9 @@ class Viewer:
     def run(self) -> None:
         """Serve until Ctrl-C."""
         where = f"http://{HOST}:{self.server.get_port()}"
-        # Whoever waits for the line behind a pipe shall not wait for the end.
-        print(f"the map is at {where}, for this machine only; Ctrl-C ends it", flush=True)
         try:
+            # Whoever waits for the line behind a pipe shall not wait for the end.
+            print(f"the map is at {where}, for this machine only; Ctrl-C ends it", flush=True)
             while True:
                 time.sleep(3600)
         except KeyboardInterrupt:
