@@ -134,7 +134,8 @@ def kernel_of(arm: Arm, positions, orientations: Orientations, rolls: int, dtype
     tiles = min(TILES, -(-orientations.count // width))
     key = spec.fingerprint(
         {
-            "arm": spec.of_arm(arm),
+            # Certified, the arm counts as it was given, and not only as it is rounded.
+            "arm": spec.of_arm(given.astype("float64") if plan.certify else arm),
             "sets": [spec.of_set(positions), spec.of_set(orientations)],
             "shapes": [x.shape for x in (*place, *turn)],
             "rolls": rolls,

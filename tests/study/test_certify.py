@@ -1,5 +1,7 @@
 """A certified float32 map counts what a float64 map counts, where float32 alone does not."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -67,3 +69,14 @@ def test_what_cannot_be_certified_is_refused():
         ikjax.sweep(arm, points, 8, dtype="float64", certify=True)
     with pytest.raises(ValueError, match="certify needs a statistic that counts, got best_margin"):
         ikjax.sweep(arm, points, 8, dtype="float32", certify=True, statistics="best_margin")
+
+
+def test_arms_alike_in_float32_are_certified_each_as_given():
+    arm = ikjax.robots.gx4_351s().astype("float64")
+    shorter = dataclasses.replace(arm, a=arm.a.at[1].add(-1e-8))
+    assert (shorter.astype("float32").a == arm.astype("float32").a).all()
+    stretched = np.array(ikjax.fk(arm, np.array([0.3, 0, 0.05, 0])))
+    points, turns = ikjax.surface(stretched[None, :3, 3]), stretched[None, :3, :3]
+    options = {"dtype": "float32", "certify": True, "statistics": "reachable"}
+    found = [int(ikjax.sweep(each, points, turns, **options).reachable.sum()) for each in (arm, shorter)]
+    assert found == [1, 0]
