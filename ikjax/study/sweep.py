@@ -63,9 +63,9 @@ def sweep(
         dtype: float32 or float64 of the kernel; by default the arm's.
         certify: Of a float32 sweep: solve those goals again in float64 of which float32 cannot say for sure
             which solutions there are: near a fold, a singularity or a limit. Counts and masks then are those
-            of a float64 sweep wherever the two were compared (`benchmarks/maps.py types`); means keep float32's
-            rounding, greatest and least values are float32's. Needs jax_enable_x64; on a CPU it costs about
-            what float64 costs.
+            of a float64 sweep wherever the two were compared (`benchmarks/maps.py types`). Means keep the
+            rounding of float32, greatest and least values are its own. Needs jax_enable_x64; on a CPU it
+            costs about what float64 costs.
         statistics: Which to keep, by name, or as `ikjax.Near(...)` or `ikjax.Measure(...)`: see
             `study.statistics`. What is not asked for is not computed.
         out: A folder, or a URL that tensorstore knows, where the map is stored unit by unit.
