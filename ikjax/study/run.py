@@ -1,7 +1,7 @@
 """The work of a sweep: units in, their statistics out, a call on every thread while another is fetched.
 
-Storey: study. Positions stream through calls of one size whatever the size of units, so that the bits of a
-position depend on nothing but the position.
+Storey: study. Positions stream through calls whatever the size of units; the bits of a position depend
+on nothing but the position.
 """
 
 import contextlib
@@ -19,6 +19,7 @@ from ikjax.ik.blocks import THREADS, pool
 from ikjax.study import log
 from ikjax.study.kernel import Kernel
 from ikjax.study.layout import Head
+from ikjax.study.loop import POSITIONS
 from ikjax.study.statistics import Plan
 
 IN_FLIGHT = 2
@@ -88,8 +89,8 @@ def run(
     places = (_places(box) for box in boxes)
     try:
         with _bar(positions, sum(sizes), kernel.orientations, progress) as advance:
-            # Every thread has something to do in a small sweep too.
-            most = max(-(-sum(sizes) // (2 * THREADS)), 1)
+            # Every thread has something to do in a small sweep too, in whole blocks: a part costs as much.
+            most = POSITIONS * max(-(-sum(sizes) // (2 * THREADS * POSITIONS)), 1)
             rows = _recut(_computed(kernel, plan, places, most, ask), sizes)
             for number, shape, size, row in zip(todo, shapes, sizes, rows, strict=True):
                 values = {
