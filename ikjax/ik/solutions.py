@@ -23,7 +23,8 @@ class Solutions:
     """(..., S) bool: the branch reaches the goal, as measured by forward kinematics."""
     margin: jax.Array
     """(..., S) clearance [m] from the fold where the branch appears or ends: positive inside, zero
-    on it, negative outside. Not a Euclidean distance."""
+    on it, negative outside. Not a Euclidean distance. A goal that is none of an arm of few joints
+    is outside by how far it is from its poses, a radian counting one reach."""
     continuum: jax.Array
     """(..., S) bool: one joint is arbitrary; the slot stands for a family of answers."""
     position_error: jax.Array

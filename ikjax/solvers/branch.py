@@ -112,6 +112,8 @@ class Branch(NamedTuple):
     """Clearance from the fold, in units of the reach."""
     continuum: jax.Array
     """The slot stands for a one-parameter family of answers."""
+    miss: Scalar = 0.0
+    """How far the goal is from all that joints so few can do, in units of the reach and rad."""
 
 
 def in_bits(masks: Sequence[jax.Array], dtype) -> jax.Array:

@@ -194,12 +194,15 @@ def solve_scalars(
         # |R - S| = sqrt(8) sin(angle / 2), in the Frobenius norm.
         valid = (gap_squared <= allowed * allowed) & (turn_squared <= 2 * tolerance**2)
         half = safe.sqrt(jnp.minimum(turn_squared / 8, 1))
+        margin = jnp.minimum(branch.margin, 1)
+        if not isinstance(branch.miss, float):
+            margin = jnp.where(valid, margin, jnp.minimum(margin, -branch.miss))
         slots.append(
             Slot(
                 branch.joints,
                 motors(_joint_values(frame, branch.joints)),
                 valid,
-                frame.reach * jnp.minimum(branch.margin, 1),
+                frame.reach * margin,
                 branch.continuum,
                 frame.reach * safe.sqrt(gap_squared),
                 2 * atan2(half, safe.sqrt((1 - half) * (1 + half))),

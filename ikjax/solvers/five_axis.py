@@ -85,6 +85,7 @@ def branches(
     for first in (0, 1):
         side, *_ = bits(first)
         base = _shoulder(main, rest, side * facing, setting)
+        miss = abs(one.sin_alpha) * safe.norm(main.gap(base.turn), rest.gap(base.turn))
         seen = unwind(goal, one, Joint(base.turn.sin, base.turn.cos, one.d))
         # Seen from frame 1 the rotation is Rz(pitch) Rx(tilt) Rz(t5), with sin(tilt) = c2 c3 sin(alpha4).
         tilted = c23 * s4
@@ -109,7 +110,7 @@ def branches(
             joints = joints_of(signs, base, arm, (p_sin, p_cos), roll, setting)
             margin = jnp.minimum(base.margin, arm.margin)
             slots[first + (0 if height == 1 else 2)] = Branch(
-                joints, goal, margin, base.continuum | arm.continuum
+                joints, goal, margin, base.continuum | arm.continuum, miss
             )
     return tuple(slots[slot] for slot in range(4))
 

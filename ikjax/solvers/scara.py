@@ -14,6 +14,7 @@ Source: Craig, Introduction to Robotics, 3rd ed., section 4.4 for the plane; the
 from ikjax.arm.forward import Link
 from ikjax.core import safe, vector
 from ikjax.core.pose import Pose
+from ikjax.core.vector import Vector
 from ikjax.solvers.branch import Branch, Setting, Slide
 from ikjax.solvers.planar import heading_of, plane_of, three_joints
 from ikjax.solvers.screws import axes_of, component, pose_turned
@@ -39,11 +40,17 @@ def branches(signs: tuple, links: tuple[Link, ...], goal: Pose, setting: Setting
         three,
     )
     slots = []
+    miss = safe.norm(*vector.subtract(_carried(plane.up, tip, goal), plane.up))
     for way in ways:
         joints = list(way.joints)
         joints.insert(k, Slide(slide))
-        slots.append(Branch(tuple(joints), goal, way.margin, way.continuum))
+        slots.append(Branch(tuple(joints), goal, way.margin, way.continuum, miss))
     return tuple(slots)
+
+
+def _carried(along: Vector, tip: Pose, goal: Pose) -> Vector:
+    """Where the goal has what is a direction of the arm at DH zero, and turns with the last joint."""
+    return vector.rotate(goal.rotation, vector.rotate(vector.transpose(tip.rotation), along))
 
 
 def turret_branches(
@@ -53,8 +60,7 @@ def turret_branches(
     axes, tip = axes_of(links)
     along = axes[1].along
     # Where the goal has the direction that axes 2, 3, 4 share.
-    local = vector.rotate(vector.transpose(tip.rotation), along)
-    wanted = vector.rotate(goal.rotation, local)
+    wanted = _carried(along, tip, goal)
     cosine, sine, _ = component(wanted, axes[0].along, along)
     weight = safe.reciprocal_sqrt(sine * sine + cosine * cosine)
     free = weight <= setting.tiny
@@ -74,4 +80,7 @@ def turret_branches(
         plane.point(tip.position),
         setting._replace(now=setting.now[1:]),
     )
-    return tuple(Branch((turn, *way.joints), goal, way.margin, way.continuum | free) for way in ways)
+    # No joint moves the direction along axis 1, nor the tip along the other three.
+    tilt = vector.dot(axes[0].along, vector.subtract(wanted, along))
+    miss = safe.norm(tilt, vector.dot(along, vector.subtract(seen.position, tip.position)))
+    return tuple(Branch((turn, *way.joints), goal, way.margin, way.continuum | free, miss) for way in ways)
