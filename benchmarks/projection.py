@@ -3,8 +3,8 @@
 For each arm: rates of the closed form alone, first as a kernel (component arrays in; of every slot q, both
 errors and the slope's length out) and then as `project` gives it; of the refined projection with every
 branch; the share of goals whose slope is zero; and the cost against the best of 64 bounded least squares of
-scipy from random joints. `--general N` does so for N random arms of five joints and no family, and for the
-best of 64 starts of our own at random.
+scipy from random joints, and against the best of 64 starts of our own, which are compared with scipy's.
+`--general N` does the last for N random arms of five joints and no family.
 """
 
 import argparse
@@ -94,29 +94,43 @@ def best_of_starts(table: Table, goal: np.ndarray, starts: int, rng) -> float:
     return min(costs)
 
 
-def general(count: int, goals: int = 64, rivals: int = 2) -> None:
+def compared(arm, goals: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """What `project` costs, and the best of 64 descents of our own from random joints."""
+    low, high = np.clip(np.array(arm.limits).T, -np.pi, np.pi)
+    rng, costs = np.random.default_rng(1000 + seed), []
+    for batch in np.array_split(goals, -(-len(goals) // 2000)):
+        starts = rng.uniform(low, high, (len(batch), 64, arm.n))
+        own = ikjax.refine(arm, batch, starts, LENGTH)
+        costs.append((ikjax.project(arm, batch, LENGTH).cost, own.cost))
+    return tuple(np.concatenate(x) for x in zip(*costs, strict=True))
+
+
+def share(ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
+    """What ours costs more; what both reach costs nothing but rounding."""
+    return np.where(np.maximum(ours, theirs) < 1e-20, 0, np.asarray(ours) / theirs - 1)
+
+
+def counted(ours: np.ndarray) -> str:
+    return f"ours worse by 1e-8 for {np.sum(ours > 1e-8)}, better for {np.sum(ours < -1e-8)} of {ours.size}"
+
+
+def general(count: int, goals: int, rivals: int) -> None:
     """Random arms, of which nothing is known."""
-    worse, theirs_worse, beaten = [], [], []
+    ours, beaten = [], []
     for seed in range(count):
         rng = np.random.default_rng(seed)
         a, d = rng.uniform(0.02, 0.4, (2, 5))
         arm = ikjax.Arm.from_dh(a=a, alpha=rng.uniform(-1.6, 1.6, 5), d=d, convention="standard")
         batch = goals_of(arm, goals, seed)
-        near = ikjax.project(arm, batch, LENGTH)
-        own = ikjax.refine(arm, batch, rng.uniform(-np.pi, np.pi, (goals, 64, 5)), LENGTH)
-        share = np.array(near.cost) / np.array(own.cost) - 1
-        # What both reach is zero but for its rounding.
-        share = np.where(np.maximum(near.cost, own.cost) < 1e-20, 0, share)
-        worse.append(np.mean(share > 1e-8))
-        theirs_worse.append(np.mean(share < -1e-8))
+        near, own = compared(arm, batch, seed)
+        ours.append(share(near, own))
         table = Table(arm)
-        beaten += [
-            near.cost[k] > best_of_starts(table, batch[k], 16, rng) * (1 + 1e-8) for k in range(rivals)
-        ]
+        theirs = np.array([best_of_starts(table, goal, 16, rng) for goal in batch[:rivals]])
+        beaten.append(share(near[:rivals], theirs))
+        print(f"arm {seed}, against 64 starts of our own: {counted(ours[-1])}", flush=True)
     print(f"{count} random 5R arms, {goals} goals each, float64, against 64 random starts of our own:")
-    print(f"  ours worse by 1e-8: {np.mean(worse):.4f} of goals, of one arm {max(worse):.4f}")
-    print(f"  ours better by 1e-8: {np.mean(theirs_worse):.4f} of goals")
-    print(f"  worse than 16 scipy starts: {sum(map(bool, beaten))} of {len(beaten)} goals", flush=True)
+    print(f"  {counted(np.array(ours))}; of one arm worse for {(np.array(ours) > 1e-8).sum(-1).max()}")
+    print(f"  against 16 of scipy: {counted(np.array(beaten))}", flush=True)
 
 
 def main() -> None:
@@ -126,11 +140,12 @@ def main() -> None:
     parser.add_argument("--goals", type=int, default=200_000)
     parser.add_argument("--rivals", type=int, default=200)
     parser.add_argument("--starts", type=int, default=64)
+    parser.add_argument("--own", type=int, default=10_000, help="goals for starts of our own")
     parser.add_argument("--general", type=int, default=0)
     given = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     if given.general:
-        return general(given.general)
+        return general(given.general, given.own, min(given.rivals, 4))
     for name in given.arms:
         arm = ikjax.robots.get(name)
         goals = goals_of(arm, given.goals)
@@ -150,10 +165,11 @@ def main() -> None:
         table, rng, started = Table(arm), np.random.default_rng(1), time.perf_counter()
         theirs = np.array([best_of_starts(table, goal, given.starts, rng) for goal in few])
         seconds = (time.perf_counter() - started) / len(few)
-        share = np.array(near.cost) / theirs - 1
-        print(f"{name}: {len(few)} goals, the best of {given.starts} scipy starts, {seconds:.2f} s a goal")
-        print(f"  ours worse by 1e-8: {np.mean(share > 1e-8):.4f} of goals, at most by {share.max():.2g}")
-        print(f"  ours better by 1e-8: {np.mean(share < -1e-8):.4f} of goals", flush=True)
+        print(f"{name}, against the best of {given.starts} scipy starts, {seconds:.2f} s a goal:")
+        print(f"  {counted(share(np.array(near.cost), theirs))}", flush=True)
+        near, own = compared(arm, goals[: given.own], 0)
+        print(f"{name}, against the best of 64 starts of our own: {counted(share(near, own))}")
+        print(f"  those against scipy's: {counted(share(own[: given.rivals], theirs))}", flush=True)
 
 
 if __name__ == "__main__":
