@@ -60,6 +60,9 @@ def solve(
             raise ValueError(f"q_now must have shape {(*batch, arm.n)}, got {q_now.shape}") from error
     if not is_traced((arm, goals, q_now)):
         return _solved(arm, goals, q_now, tolerance)
+    if not is_traced(goals):
+        # Goals that a jit captures are constants to XLA, which would fold what holds shared values apart.
+        goals = jax.lax.optimization_barrier(goals)
     sol = _solved(*jax.lax.stop_gradient((arm, goals, q_now)), tolerance)
     q, margin = with_slopes(arm, goals, sol.q, sol.valid, sol.margin, damping)
     return dataclasses.replace(sol, q=q, margin=margin)

@@ -206,8 +206,12 @@ def test_forward_is_reverse_in_every_leaf(family):
     rates = jax.tree.map(lambda x: jnp.asarray(rng.normal(size=x.shape)), leaves)
     several, form = jax.tree.flatten(rates)
 
-    along = jax.jit(lambda rates: jax.jvp(total, (leaves,), (jax.tree.unflatten(form, rates),))[1])
-    forward = [along([x * float(i == k) for k, x in enumerate(several)]) for i in range(len(several))]
+    @jax.jit
+    def along(leaves, rates):
+        return jax.jvp(total, (leaves,), (jax.tree.unflatten(form, rates),))[1]
+
+    places = range(len(several))
+    forward = [along(leaves, [x * float(i == k) for k, x in enumerate(several)]) for i in places]
     back = jax.jit(jax.grad(total))(leaves)
     terms = [np.asarray(g * t) for g, t in zip(jax.tree.leaves(back), several, strict=True)]
     sizes = np.array([np.abs(x).sum() for x in terms])
