@@ -66,6 +66,8 @@ class Wish(NamedTuple):
     """What the square of the distance is worth."""
     floor: Scalar = FLOOR
     """The least curvature that a step believes in."""
+    still: tuple[jax.Array, ...] | None = None
+    """Joints that do not move."""
 
 
 class Standing(NamedTuple):
@@ -239,7 +241,10 @@ def step(arm: Arm, wish: Wish, state: State, hold: Hold) -> State:
     """One damped Newton step, taken only if it leads down."""
     q, at, damping = state
     noise, zero = float(jnp.finfo(at.cost.dtype).eps), jnp.zeros_like(at.cost)
-    free = [hold(jnp.where(b, zero, zero + 1)) for b in held_back(arm, q, at.slope)]
+    back = held_back(arm, q, at.slope)
+    if wish.still is not None:
+        back = [b | held for b, held in zip(back, wish.still, strict=True)]
+    free = [hold(jnp.where(b, zero, zero + 1)) for b in back]
     floor = jnp.asarray(wish.floor, at.cost.dtype)
     matrix = [
         [hold(free[i] * free[j] * at.curve[i][j]) for j in range(i)]

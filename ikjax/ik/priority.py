@@ -3,8 +3,9 @@
 Storey: ik. First the one error as small as can be, then the other as small as that allows. With the second
 worth a share s of the first, the bottom q(s) of their sum moves smoothly to that pose as s goes to zero; so
 the share is eased down stage by stage, each going on from where the last one ended, and the straight line
-through the last two bottoms is followed to share zero. What is then left of the first error is of the order
-of the product of the last two shares, where a penalty alone would leave the last share.
+through the last two bottoms is followed to share zero, by all joints but those that a limit holds back. What
+is then left of the first error is of the order of the product of the last two shares, where a penalty alone
+would leave the last share.
 
 At full stretch a tool point off the last axis leaves bottoms that lie close together, of which either may be
 taken: that the best start is the best of all poses is not proved here either.
@@ -89,9 +90,14 @@ def _staged(
             jnp.clip(x + (x - y) / (ease - 1), low, high)
             for x, y, (low, high) in zip(q, before, descent.bounds(arm), strict=True)
         )
-        start = tuple(jnp.where(extra & settled, x, y) for x, y in zip(ahead, q, strict=True))
+        # Joints at a limit stay there: the first error alone would rather have them off it.
+        still = tuple(extra & back for back in descent.held_back(arm, q, at.slope))
+        start = tuple(
+            jnp.where(extra & settled & ~held, x, y) for x, y, held in zip(ahead, q, still, strict=True)
+        )
         damping = zero + descent.FIRST_DAMPING * share
-        state = descent.descend(arm, wish_of(jnp.where(extra, 0, share)), start, steps, hold, damping)
+        asked = wish_of(jnp.where(extra, 0, share))._replace(still=still)
+        state = descent.descend(arm, asked, start, steps, hold, damping)
         steep = descent.steepness(arm, state.q, state.at) / jnp.sqrt(share)
         nearer = in_order(state.at, priority)[0] <= in_order(at, priority)[0]
         take = ~extra | nearer

@@ -15,7 +15,7 @@ from ikjax.ik.starts import at_limits, scattered
 from ikjax.solvers import FAMILIES
 
 SCATTERED, BESIDE = 64, 28
-"""Starts for an arm without a closed form, and beside the branches of an arm with limits."""
+"""Starts for an arm without a closed form or with one error first, and beside the branches of another."""
 
 
 def project(
@@ -47,7 +47,7 @@ def project(
         steps: At most so many steps of refinement from each branch; with none, the closed form alone.
         beside: So many starts beside the branches, spread over the limits. By default the 36 closed ones for
             an arm of family `five_axis` with limits; 28 for another with limits, or that is asked for poses;
-            none without steps. They are most of the work.
+            64 for either where one error comes first; none without steps. They are most of the work.
 
     Returns:
         `Projection`: the best branch, and all of them as `.branches`, (..., S): first those of the arm, in
@@ -58,16 +58,18 @@ def project(
     """
     goals, arm = checked(arm, goals, length)
     priority = priorities.checked(arm, priority)
-    more = _beside(arm, goals, steps, beside)
+    more = _beside(arm, goals, steps, beside, priority)
     return best_of(arm, _from_all(arm, goals, length, steps, more, priority), priority)
 
 
-def _beside(arm: Arm, goals, steps: int, count: int | None) -> jax.Array:
+def _beside(arm: Arm, goals, steps: int, count: int | None, priority: str) -> jax.Array:
     """The starts beside the branches, (..., S, n)."""
     if count is None:
-        if arm.family and steps and _astray(arm) and FAMILIES[arm.family].held:
+        astray = arm.family is not None and steps > 0 and _astray(arm)
+        if astray and priority == "weighted" and FAMILIES[str(arm.family)].held:
             return at_limits(arm, goals)
-        count = SCATTERED if arm.family is None else BESIDE if steps and _astray(arm) else 0
+        many = SCATTERED if arm.family is None or priority != "weighted" else BESIDE
+        count = many if astray or arm.family is None else 0
     return scattered(arm, goals.shape[:-2], count)
 
 

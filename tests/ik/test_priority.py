@@ -53,6 +53,9 @@ def test_the_point_is_held_where_it_can_be_with_the_nearest_orientation():
     goals, near = projected()
     fk, q = numpy_fk(ARM), np.array(near.q)
     assert ((q >= LOW) & (q <= HIGH)).all()
+    # A joint that its limit holds back stands on it, not where the point alone would rather have it.
+    room = np.minimum(q - LOW, HIGH - q)[np.array(near.converged)]
+    assert (room == 0).sum() > 10 and not ((room > 0) & (room < 1e-4)).any()
     inside = np.array(near.position_error)[:100]
     # From the four branches alone: limits keep some of them away from where they led.
     held = inside < 1e-12
