@@ -564,3 +564,57 @@ def test_slopes_of_many_arms_are_those_of_differences_and_of_the_jacobian(name):
         if key == "goal" and arm.task == "pose" and arm.n == 6:
             exact = np.linalg.solve(J[asked], np.repeat(rates[key], asked.sum(-1), axis=0)[..., None])[..., 0]
             np.testing.assert_allclose(slope[asked], exact, rtol=1e-6, atol=1e-6 * np.abs(exact).max())
+
+
+@pytest.mark.parametrize(
+    "count", [pytest.param(10, marks=pytest.mark.slow), pytest.param(200, marks=pytest.mark.long)]
+)
+def test_slopes_of_five_joints_follow_their_own_poses(count):
+    """Goals that move with the arm, because no others are reached: along each leaf, and with the joints."""
+    arm = build("five axes, lateral").astype(np.float64)
+    rng, columns, mounts = np.random.default_rng(12), ("a", "alpha", "d", "theta"), ("base", "tool")
+    rates = {key: np.zeros((count, arm.n)) for key in columns}
+    for name in arm.free:
+        rates[name[:-1]][:, int(name[-1]) - 1] = rng.normal(size=count)
+    assert {name[:-1] for name in arm.free} == set(columns)
+    rates |= {key: rng.normal(size=(count, 6)) for key in mounts}
+    several = {key: np.asarray(getattr(arm, key)) + 0.03 * rates[key] for key in columns}
+    stack = jax.vmap(lambda leaves: dataclasses.replace(arm, **leaves))(several)
+    q, speed = every.joints(arm, count, seed=13), rng.normal(size=(count, arm.n))
+
+    def joints(arm, q, speed, rate, t):
+        leaves = {key: getattr(arm, key) + t * rate[key] for key in columns}
+        leaves |= {key: moved(getattr(arm, key), t * rate[key]) for key in mounts}
+        other = dataclasses.replace(arm, **leaves)
+        return ikjax.solve(other, ikjax.fk(other, q + t * speed)).q
+
+    @jax.jit
+    @jax.vmap
+    def along(arm, q, speed, rate, t):
+        return jax.jvp(lambda t: joints(arm, q, speed, rate, t), (t,), (jnp.ones_like(t),))
+
+    zero = np.zeros(count)
+    still = {key: 0 * rate for key, rate in rates.items()}
+    start = np.asarray(along(stack, q, speed, still, zero)[0])
+    valid = np.asarray(jax.jit(jax.vmap(ikjax.solve))(stack, jax.vmap(ikjax.fk)(stack, q)).valid)
+    least = np.stack(
+        [every.sigma_min(jax.tree.map(lambda x, i=i: x[i], stack), start[i]) for i in range(count)]
+    )
+    asked = valid & (least > 1e-3)
+    assert asked.any(-1).mean() > 0.9
+    mine = asked & (np.abs(arms.wrapped(start - q[:, None])).max(-1) < 1e-6)
+    assert mine.any(-1).mean() > 0.9
+    steps = np.where(asked, least, np.inf).min(-1, initial=0.1) ** 2 * np.array([[0.01], [0.05], [0.2]])
+    for key in (*rates, "q"):
+        rate = {other: rate * (other == key) for other, rate in rates.items()}
+        slope = np.asarray(along(stack, q, speed, rate, zero)[1])
+        # The slot that the goal was made of goes on with its joints.
+        wanted = np.broadcast_to(speed[:, None], slope.shape)[mine]
+        np.testing.assert_allclose(slope[mine], wanted, rtol=1e-6, atol=1e-6 * np.abs(wanted).max())
+
+        def at(t, rate=rate):
+            return arms.wrapped(np.asarray(along(stack, q, speed, rate, t)[0]) - start)
+
+        rough = [(8 * (at(t) - at(-t)) - (at(2 * t) - at(-2 * t))) / (12 * t[:, None, None]) for t in steps]
+        off = np.min([np.abs(slope - r).max(-1) / (1 + np.abs(r).max(-1)) for r in rough], axis=0)
+        assert off[asked].max() < 1e-6, (key, off[asked].max())
