@@ -44,7 +44,7 @@ def _mark(quick: bool, slow: bool):
 
 
 QUICK = ("puma560", "3R")
-SLOW = ("RRR, point", "SCARA RRPR", "RPR", "planar_prr", "2R")
+SLOW = ("RRR, point", "SCARA RRPR", "RPR", "planar_prr", "2R", "five axes, lateral")
 FOLLOWED = [
     # The PUMA compiles longest, and the point's quartic has all it has.
     pytest.param(name, marks=_mark(name in ("3R", "2R", "RPR"), name in QUICK + SLOW))
@@ -61,7 +61,7 @@ EITHER = [
             (name, dtype) in zip(SLOW, itertools.cycle(TYPES)),
         ),
     )
-    for name in FREE
+    for name in (*FREE, "five axes, lateral")
     for dtype in TYPES
 ]
 
