@@ -97,6 +97,12 @@ def test_a_point_out_of_reach_is_approached_as_near_as_it_can_be():
         assert abs(near.position_error[k] - least) < 1e-4
 
 
+def test_one_error_first_starts_from_spread_joints_beside_the_branches():
+    for priority, starts in (("weighted", 4 + 36), ("position", 4 + 64)):
+        project = functools.partial(ikjax.project, ARM, priority=priority)
+        assert jax.eval_shape(project, jnp.eye(4)).branches.cost.shape == (starts,)
+
+
 def test_an_unknown_priority_is_named():
     with pytest.raises(ValueError, match="priority must be one of weighted"):
         ikjax.project(ARM, np.eye(4), priority="tool")

@@ -329,6 +329,20 @@ def test_slopes_of_many_goals_are_those_of_few(monkeypatch):
 
 
 @pytest.mark.slow
+def test_captured_goals_leave_shared_values_apart():
+    """Constants of a jit make the program that arguments make: a division holds what is shared."""
+    arm, goals, _, _ = case("2R", 24)
+
+    def total(a, goals):
+        sol = ikjax.solve(dataclasses.replace(arm, a=a), goals)
+        return jnp.sin(sol.q).sum() + sol.margin.sum()
+
+    passed = jax.jit(jax.grad(total)).lower(arm.a, goals).compile().as_text()
+    captured = jax.jit(jax.grad(lambda a: total(a, goals))).lower(arm.a).compile().as_text()
+    assert captured.count(" divide(") >= passed.count(" divide(") > 50
+
+
+@pytest.mark.slow
 def test_damping_bounds_the_slope_at_a_singularity():
     arm = build("puma560").astype(np.float64)
     q = jnp.array([0.3, -0.5, 0.4, 0.2, 0.0, 0.6])  # the wrist is straight
