@@ -62,10 +62,12 @@ def solved(arm: Arm, goals: np.ndarray, points: np.ndarray, turns: np.ndarray, l
         shift = points @ _about_z(-turn).T - stay
         parts = itertools.product(range(0, len(goals), width), range(0, len(points), CALL))
         for first, at in parts:
-            table = np.zeros((12, width), goals.dtype)
-            some = slice(first, first + width)
-            here = len(position[some])
-            table[:, :here] = np.concatenate([rotation[some].reshape(-1, 9), position[some]], 1).T
+            # What is too much repeats the first goal, so that no margin has to be left out of the worst: a
+            # choice before the minimum took newer XLA a quarter of an hour to compile.
+            some = first + np.arange(width)
+            here = np.count_nonzero(some < len(goals))
+            some = np.where(some < len(goals), some, first)
+            table = np.concatenate([rotation[some].reshape(-1, 9), position[some]], 1, dtype=goals.dtype).T
             bases = np.zeros((3, CALL), goals.dtype)
             these = len(shift[at : at + CALL])
             bases[:, :these] = shift[at : at + CALL].T
@@ -97,8 +99,7 @@ def _counter(known: Known, limits: bool, width: int):
             flags = Goal(arm, slots, hold or (lambda x: x), shape, {}).flags(limits)
             hit = functools.reduce(jnp.logical_or, flags) & proper & some
             margin = functools.reduce(jnp.maximum, [slot.margin for slot in slots])
-            margin = jnp.where(some, jnp.broadcast_to(margin, shape), jnp.inf)
-            found = jnp.sum(hit, axis=1, dtype=jnp.int32), jnp.min(margin, axis=1)
+            found = jnp.sum(hit, axis=1, dtype=jnp.int32), jnp.min(jnp.broadcast_to(margin, shape), axis=1)
             return tuple(
                 jax.lax.dynamic_update_slice_in_dim(total, part, b * deep, 0)
                 for total, part in zip(totals, found, strict=True)
