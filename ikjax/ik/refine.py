@@ -221,7 +221,17 @@ class _Descending:
             spread = blocks.columns_of(starts).reshape(*starts.shape[1:], -1)
             starts = tuple(spread[:, i] for i in range(arm.n))
             damping = None if damping is None else blocks.columns_of(damping)
-        found = _descended(arm, entries, starts, length[None, :, 0], steps[0, 0], damping, self.priority)
+        goal, proper, near = asked(arm, entries)
+        starts = proposals(arm, goal, near) if starts is None else starts
+
+        def of_one(start):
+            q, easing = jax.tree.map(lambda x: x[None], start)
+            worth = length[None, :, 0]
+            found = from_starts(arm, goal, proper, q, worth, steps[0, 0], easing, self.priority)
+            return jax.tree.map(lambda x: x[0], found)
+
+        # One start after the other: what lies between two steps of all of them is more than a cache holds.
+        found = jax.lax.map(of_one, (starts, damping))
         count = found.cost.shape[0]
         fields = {name: blocks.packed(list(getattr(found, name))) for name in (*FIELDS, "damping")}
         q = blocks.packed([x[s] for s in range(count) for x in found.q])
