@@ -6,6 +6,7 @@ Source: Spong, Robot Modeling and Control, equation (3.10).
 
 import functools
 import math
+import operator
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -161,6 +162,27 @@ def coupled(arm: Arm, q: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
         return q
     rows = [numbers(arm.coupling[i]) for i in range(arm.n)]
     return tuple(functools.reduce(plus, map(times, row, q)) for row in rows)
+
+
+def whole_turns(arm: Arm) -> tuple[bool | jax.Array, ...]:
+    """Which joint values may change by a whole turn and leave the pose.
+
+    Those of turning joints; of motors that drive several joints those that turn all of them by whole turns
+    and slide none, as a screw does.
+    """
+    if arm.coupling is None:
+        return tuple(kind == "R" for kind in arm.kinds)
+
+    def odd(kind: str, share: Scalar) -> Scalar:
+        nearest = round(share) if isinstance(share, float) else jnp.round(share)
+        return share - nearest if kind == "R" else share
+
+    columns = [numbers(arm.coupling[:, i]) for i in range(arm.n)]
+    odds = [[odd(kind, share) for kind, share in zip(arm.kinds, column, strict=True)] for column in columns]
+    return tuple(
+        functools.reduce(operator.and_, [x == 0 for x in odd], kind == "R")
+        for kind, odd in zip(arm.kinds, odds, strict=True)
+    )
 
 
 class Chain(NamedTuple):

@@ -26,7 +26,7 @@ import jax.numpy as jnp
 
 from ikjax.arm import rates
 from ikjax.arm.arm import Arm, numbers
-from ikjax.arm.forward import Chain, chain, fixed_pose
+from ikjax.arm.forward import Chain, chain, fixed_pose, whole_turns
 from ikjax.core import pose as poses
 from ikjax.core import safe, vector
 from ikjax.core.linear import solve_symmetric
@@ -291,13 +291,13 @@ def _square(slope) -> Scalar:
 def into_limits(arm: Arm, q: Joints) -> Joints:
     """The joints moved into the limits: by whole turns where that will do, else to the nearer limit."""
     return tuple(
-        _within(x, low, high, kind == "R")
-        for x, kind, (low, high) in zip(q, arm.kinds, bounds(arm), strict=True)
+        _within(x, low, high, whole)
+        for x, whole, (low, high) in zip(q, whole_turns(arm), bounds(arm), strict=True)
     )
 
 
-def _within(x: Scalar, low: Scalar, high: Scalar, turning: bool) -> Scalar:
-    if not turning:
+def _within(x: Scalar, low: Scalar, high: Scalar, whole: bool | jax.Array) -> Scalar:
+    if whole is False:
         return jnp.clip(x, low, high)
     low, high = (jnp.asarray(limit, x.dtype) for limit in (low, high))
     middle = jnp.where(jnp.isfinite(low), low + math.pi, jnp.where(jnp.isfinite(high), high - math.pi, 0))
@@ -305,4 +305,4 @@ def _within(x: Scalar, low: Scalar, high: Scalar, turning: bool) -> Scalar:
     x = jnp.where(jnp.isfinite(x), x, middle)
     # Whole turns bring a joint as near to the middle as they can: the end that it passes then is the nearer.
     turned = x - TURN * jnp.round((x - middle) * (1 / TURN))
-    return jnp.clip(jnp.where((x < low) | (x > high), turned, x), low, high)
+    return jnp.clip(jnp.where(whole & ((x < low) | (x > high)), turned, x), low, high)

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 
 from ikjax.arm import rates
 from ikjax.arm.arm import Arm
-from ikjax.arm.forward import chain, check_joints, fixed_pose
+from ikjax.arm.forward import chain, check_joints, fixed_pose, whole_turns
 from ikjax.core import pose as poses
 from ikjax.core import safe
 from ikjax.core.singular import singular_values
@@ -90,15 +90,14 @@ def _clearance(arm: Arm, i: int, value: jax.Array) -> jax.Array:
     lower, upper = (jnp.asarray(arm.limits, value.dtype)[i, k] for k in (0, 1))
     # Zeros in the place of infinities keep them out of the slopes.
     low, high = (jnp.where(jnp.isfinite(limit), limit, 0) for limit in (lower, upper))
-    if arm.kinds[i] == "P":
-        size = reach(arm)
-        above = jnp.where(jnp.isfinite(lower), (value - low) / size, math.pi)
-        below = jnp.where(jnp.isfinite(upper), (high - value) / size, math.pi)
-        return jnp.minimum(jnp.minimum(above, below), math.pi)
+    size = reach(arm) if arm.kinds[i] == "P" else 1
+    above = jnp.where(jnp.isfinite(lower), (value - low) / size, math.pi)
+    below = jnp.where(jnp.isfinite(upper), (high - value) / size, math.pi)
+    straight = jnp.minimum(jnp.minimum(above, below), math.pi)
     inside = (high - low) / 2 - jnp.abs(wrap(value - (high + low) / 2))
     # Whole turns can always meet one limit.
     bounded = jnp.isfinite(lower) & jnp.isfinite(upper)
-    return jnp.where(bounded, jnp.minimum(inside, math.pi), math.pi)
+    return jnp.where(whole_turns(arm)[i], jnp.where(bounded, jnp.minimum(inside, math.pi), math.pi), straight)
 
 
 @jax.jit

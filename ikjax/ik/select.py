@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from ikjax.arm.arm import Arm
+from ikjax.arm.forward import whole_turns
 from ikjax.core.trig import wrap
 from ikjax.ik.solutions import Solutions
 
@@ -21,7 +22,9 @@ def within_limits(arm: Arm, sol: Solutions) -> Solutions:
 
     A turning joint outside its limits is moved by as few whole turns as bring it inside. Where no
     number of turns does, or a sliding joint is outside, `q` is left as it was and `valid` is
-    cleared. A limit counts as inside, to 8 eps. The gradient passes through unchanged.
+    cleared. A motor that turns another joint by less than whole turns, or slides one, is left where it
+    is, because a turn of it is another pose. A limit counts as inside, to 8 eps. The gradient passes
+    through unchanged.
 
     Args:
         arm: The arm, with limits (n, 2); infinite ones are always kept.
@@ -33,7 +36,7 @@ def within_limits(arm: Arm, sol: Solutions) -> Solutions:
     turns_up = jnp.ceil((lower - slack - sol.q) / TURN)
     turns_down = jnp.floor((upper + slack - sol.q) / TURN)
     turns = jnp.where(sol.q < lower - slack, turns_up, jnp.where(sol.q > upper + slack, turns_down, 0))
-    turning = jnp.asarray([kind == "R" for kind in arm.kinds]).reshape((1,) * (sol.q.ndim - 1) + (-1,))
+    turning = jnp.asarray(whole_turns(arm)).reshape((1,) * (sol.q.ndim - 1) + (-1,))
     shift = jnp.where(turning & jnp.isfinite(turns), turns * TURN, 0)
     moved = sol.q + jax.lax.stop_gradient(shift)
     inside = (moved >= lower - slack) & (moved <= upper + slack)
@@ -66,7 +69,7 @@ def nearest(arm: Arm, sol: Solutions, q_now, weights=None) -> tuple[jax.Array, j
     if weights.shape != (arm.n,):
         raise ValueError(f"weights must have shape ({arm.n},), got {weights.shape}")
     move = sol.q - jnp.broadcast_to(q_now, (*sol.q.shape[:-2], arm.n))[..., None, :]
-    turning = jnp.asarray([kind == "R" for kind in arm.kinds])
+    turning = jnp.asarray(whole_turns(arm))
     shape = (1,) * (move.ndim - 1) + (arm.n,)
     move = jnp.where(turning.reshape(shape), wrap(move), move)
     cost = jnp.max(jnp.abs(move) * weights.reshape(shape), axis=-1)

@@ -18,7 +18,8 @@ class Solutions:
     """
 
     q: jax.Array
-    """(..., S, n) joint values [rad, m], angles in (-pi, pi]; always finite, also where not valid."""
+    """(..., S, n) joint values [rad, m], in (-pi, pi] where a whole turn leaves the pose (`coupling` may part
+    them from that); always finite, also where not valid."""
     valid: jax.Array
     """(..., S) bool: the branch reaches the goal, as measured by forward kinematics."""
     margin: jax.Array

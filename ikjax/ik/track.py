@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ikjax.arm.arm import Arm
+from ikjax.arm.forward import whole_turns
 from ikjax.ik import descent
 from ikjax.ik.graph import entries_of
 from ikjax.ik.refine import asked, checked, from_starts, proposals
@@ -124,8 +125,10 @@ def _next(arm: Arm, goal, q, length, leap, slack, steps: int) -> Path:
     starts = tuple(jnp.concatenate([x[None], y]) for x, y in zip(now, starts, strict=True))
     found = from_starts(arm, pose, proper, starts, length, steps, None)
     values = tuple(
-        _turned_near(x, here[None], low, high) if kind == "R" else x
-        for x, here, kind, (low, high) in zip(found.q, now, arm.kinds, descent.bounds(arm), strict=True)
+        jnp.where(whole, _turned_near(x, here[None], low, high), x)
+        for x, here, whole, (low, high) in zip(
+            found.q, now, whole_turns(arm), descent.bounds(arm), strict=True
+        )
     )
     moves = functools.reduce(jnp.maximum, [abs(x - here[None]) for x, here in zip(values, now, strict=True)])
     far = jnp.sqrt(found.cost)

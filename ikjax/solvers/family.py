@@ -24,6 +24,7 @@ from ikjax.arm.forward import (
     known_sincos,
     links,
     strip,
+    whole_turns,
 )
 from ikjax.core import pose as poses
 from ikjax.core import safe, vector
@@ -277,18 +278,20 @@ def _asked(task: str, frame: Frame, goal: Pose) -> Pose:
 
 
 def _motors(arm: Arm) -> Callable[[tuple[Scalar, ...]], tuple[Scalar, ...]]:
-    """From joint values to motor values, angles in (-pi, pi]."""
+    """From joint values to motor values, in (-pi, pi] where a whole turn of the motor leaves the pose."""
     if arm.coupling is None:
         return lambda q: q
     known = isinstance(arm.coupling, np.ndarray) and arm.coupling.dtype != object
     inverse = np.linalg.inv(arm.coupling) if known else jnp.linalg.inv(jnp.stack([*map(_row, arm.coupling)]))
     rows = [numbers(inverse[i]) for i in range(arm.n)]
 
-    def motor(kind, row, q):
+    def motor(whole, row, q):
         value = functools.reduce(vector.plus, map(vector.times, row, q))
-        return wrap(value) if kind == "R" else value
+        if isinstance(whole, bool):
+            return wrap(value) if whole else value
+        return jnp.where(whole, wrap(value), value)
 
-    return lambda q: tuple(motor(kind, row, q) for kind, row in zip(arm.kinds, rows, strict=True))
+    return lambda q: tuple(motor(whole, row, q) for whole, row in zip(whole_turns(arm), rows, strict=True))
 
 
 def _row(entries) -> jax.Array:

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from ikjax.arm.arm import Arm
-from ikjax.arm.forward import links
+from ikjax.arm.forward import links, whole_turns
 from ikjax.solvers.family import Slot
 
 
@@ -61,14 +61,14 @@ def distance(arm: Arm, slot: Slot) -> jax.Array:
         slot: One of its slots.
     """
     least = jnp.ones_like(slot.margin)
-    for kind, value, (lower, upper) in zip(arm.kinds, slot.q, arm.limits.tolist(), strict=True):
+    for whole, value, (lower, upper) in zip(whole_turns(arm), slot.q, arm.limits.tolist(), strict=True):
         if not (math.isfinite(lower) and math.isfinite(upper)):
             near = value - lower if math.isfinite(lower) else upper - value if math.isfinite(upper) else None
             if near is not None:  # one limit alone: a range of two radians or metres
                 least = jnp.minimum(least, near)
             continue
         away = value - (lower + upper) / 2
-        if kind == "R":
+        if whole:
             away = away - 2 * math.pi * jnp.round(away / (2 * math.pi))
         half = max((upper - lower) / 2, float(jnp.finfo(arm.dtype).tiny))
         least = jnp.minimum(least, 1 - jnp.abs(away) / half)
@@ -78,10 +78,10 @@ def distance(arm: Arm, slot: Slot) -> jax.Array:
 def _by_value(arm: Arm, slot: Slot, slack: float) -> jax.Array:
     """The same for coupled joints, whose limits are those of the motors."""
     inside = jnp.asarray(True)
-    for kind, value, (lower, upper) in zip(arm.kinds, slot.q, arm.limits.tolist(), strict=True):
-        if kind == "R" and upper - lower >= 2 * math.pi:
+    for whole, value, (lower, upper) in zip(whole_turns(arm), slot.q, arm.limits.tolist(), strict=True):
+        if whole and upper - lower >= 2 * math.pi:
             continue
-        if kind == "R":
+        if whole:
             turn = 2 * math.pi
             value = value + turn * jnp.ceil((lower - slack - value) / turn)
         inside = inside & (value >= lower - slack) & (value <= upper + slack)

@@ -116,7 +116,8 @@ def _judged(arm: Arm, q: np.ndarray, dtype):
     motions[:, :, [kind == "P" for kind in arm.kinds]] *= size
     least = np.linalg.svd(rows @ motions, compute_uv=False)[..., -1]
     turning = np.array([kind == "R" for kind in arm.kinds])
-    off = np.abs(sol.q - q[:, None])
+    off = sol.q - q[:, None]
+    off = np.abs(off if arm.coupling is None else off @ np.asarray(arm.coupling, float).T)
     off = np.where(turning, np.abs((off + np.pi) % (2 * np.pi) - np.pi), off / size).max(-1)
     near = np.where(sol.valid, off, np.inf).min(-1)
     regular = least > REGULAR[dtype.name]

@@ -239,3 +239,37 @@ def test_a_table_that_is_exact_needs_no_correction():
     q = np.random.default_rng(3).uniform(-np.pi, np.pi, (20, 6))
     plain = ikjax.Arm.from_dh(**UR10E, convention="standard")
     np.testing.assert_allclose(ikjax.fk(arm, q), ikjax.fk(plain, q), atol=1e-13)
+
+
+def screwed():
+    """A SCARA whose last joint turns with its first, and lowers the slide by 20 mm in a turn."""
+    arm = ikjax.robots.gx4_351s()
+    table = {key: np.asarray(getattr(arm, key)) for key in ("a", "alpha", "d", "theta", "base", "tool")}
+    coupling = np.eye(4)
+    coupling[3, 1], coupling[2, 3] = -0.3, 0.02 / (2 * np.pi)
+    limits = [(-3, 3), (-3, 3), (-1, 1), (0, 6.28)]
+    return ikjax.Arm.from_dh(
+        **table, convention="standard", kinds=arm.kinds, coupling=coupling, limits=limits
+    )
+
+
+@pytest.mark.parametrize("traced", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_a_turn_of_a_motor_that_is_another_pose_is_not_taken(traced, rng):
+    arm = screwed()
+    q = rng.uniform([-2, -2, -0.1, 0.1], [2, 2, 0, 6], (200, 4))
+    goals = ikjax.fk(arm, q)
+    sol = jax.jit(ikjax.solve)(arm, goals) if traced else ikjax.solve(arm, goals)
+    assert sol.valid.any(-1).all()
+    inside = ikjax.within_limits(arm, sol)
+    assert 0.2 < inside.valid.any(-1).mean() < 0.9
+    for chosen in (sol, inside):
+        gap, _ = ikjax.pose_error(ikjax.fk(arm, chosen.q), goals[:, None])
+        assert np.where(chosen.valid, gap, 0).max() < 1e-12
+    low, high = np.asarray(arm.limits).T
+    found = np.asarray(inside.q)
+    held = ((found >= low - 1e-12) & (found <= high + 1e-12)).all(-1)
+    assert (held | ~np.asarray(inside.valid)).all()
+    assert np.array_equal(inside.valid, sol.valid & (ikjax.limit_distance(arm, sol.q) >= -1e-12))
+    nearest, any_found = ikjax.nearest(arm, inside, np.zeros(4))
+    gap, _ = ikjax.pose_error(ikjax.fk(arm, nearest), goals)
+    assert np.where(any_found, gap, 0).max() < 1e-12
