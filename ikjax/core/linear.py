@@ -19,6 +19,7 @@ def solve_symmetric(
     right: Row,
     hold: Callable[[Scalar], Scalar] = lambda x: x,
     floor: Scalar | None = None,
+    push: Scalar | None = None,
 ) -> Row:
     """x with matrix x = right, for a symmetric positive definite matrix; zeros where a pivot is zero.
 
@@ -28,10 +29,14 @@ def solve_symmetric(
         hold: Called on each entry of the factors and of x; see `ik.graph`.
         floor: Pivots are taken without their signs and no smaller than this, which makes any symmetric
             matrix a positive definite one, and leaves those alone that were.
+        push: With `floor`: along each way on which the form falls, by a pivot below -10 floors, x goes so far
+            at least, or the pivot's root where that is less; a right-hand side of zero does not tell a saddle
+            from a bottom.
     """
     n = len(right)
     lower: list[Row] = [[0.0] * n for _ in range(n)]
     inverse_pivots: Row = []
+    least: Row = []
     for i in range(n):
         scaled: Row = []
         for j in range(i):
@@ -43,7 +48,10 @@ def solve_symmetric(
         for j in range(i):
             lower[i][j] = hold(scaled[j] * inverse_pivots[j])
             pivot = pivot - scaled[j] * lower[i][j]
-        pivot = pivot if floor is None else jnp.maximum(abs(pivot), floor)
+        if floor is not None:
+            falls, pivot = pivot < -10 * floor, jnp.maximum(abs(pivot), floor)
+            if push is not None:
+                least.append(hold(jnp.where(falls, jnp.minimum(push, safe.sqrt(pivot)), 0)))
         inverse_pivots.append(hold(safe.divide(1, pivot)))
     # Each entry is held where it is whole: later ones need all of them.
     x = list(right)
@@ -53,6 +61,8 @@ def solve_symmetric(
         x[i] = hold(x[i])
     for i in range(n):
         x[i] = x[i] * inverse_pivots[i]
+        if push is not None:
+            x[i] = jnp.where(x[i] < 0, jnp.minimum(x[i], -least[i]), jnp.maximum(x[i], least[i]))
     for i in reversed(range(n)):
         for j in range(i + 1, n):
             x[i] = x[i] - lower[j][i] * x[j]

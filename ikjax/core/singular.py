@@ -81,6 +81,24 @@ def _(primals, tangents):
     return (lefts, rights), (turned(lefts, moved), turned(rights, zeros))
 
 
+def volume(columns: Sequence[Column]) -> Scalar:
+    """The product of the singular values, by what each column adds to those before it.
+
+    Arguments as in `singular_values`. Unlike a product of those it has slopes of slopes where values are
+    repeated; where it is zero its slope is that of one side, or zero.
+    """
+    ways: list[Column] = []
+    product: Scalar = 1.0
+    for column in columns:
+        for way in ways:
+            along = _dot(way, column)
+            column = tuple(x - along * y for x, y in zip(column, way, strict=True))
+        length = _length(column)
+        ways.append(tuple(safe.divide(x, length) for x in column))
+        product = product * length
+    return product
+
+
 def _turned(columns: Sequence[Column], rows: int) -> list[Column]:
     """The columns after all turns; only the first `rows` entries decide how far they turn."""
     count = len(columns)

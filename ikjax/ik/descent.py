@@ -41,6 +41,9 @@ CONVERGED = {"float32": 2e-5, "float64": 1e-8}
 LARGEST_STEP = 1.0
 """Of any joint [rad, or reaches]."""
 
+PUSH, NEARLY_FLAT = 0.1, 1e-3
+"""A step goes so far [rad, or reaches] off a saddle, where the slope is less than that."""
+
 TURN = 2 * math.pi
 
 FIRST_DAMPING, EASED = 1e-2, 10.0
@@ -246,13 +249,16 @@ def step(arm: Arm, wish: Wish, state: State, hold: Hold) -> State:
         back = [b | held for b, held in zip(back, wish.still, strict=True)]
     free = [hold(jnp.where(b, zero, zero + 1)) for b in back]
     floor = jnp.asarray(wish.floor, at.cost.dtype)
+    down = [hold(-f * s) for f, s in zip(free, at.slope, strict=True)]
+    # On a saddle, where many an arm is at home, the slope leads nowhere, and damping would hide the way down.
+    flat = hold(jnp.where(_square(down) < NEARLY_FLAT**2, zero + 1, zero))
+    push, damped = PUSH * flat, damping * (1 - 0.99 * flat)
     matrix = [
         [hold(free[i] * free[j] * at.curve[i][j]) for j in range(i)]
-        + [hold(free[i] * (at.curve[i][i] + damping * (abs(at.curve[i][i]) + 1e-2)) + (1 - free[i]))]
+        + [hold(free[i] * (at.curve[i][i] + damped * (abs(at.curve[i][i]) + 1e-2)) + (1 - free[i]))]
         for i in range(arm.n)
     ]
-    down = [hold(-f * s) for f, s in zip(free, at.slope, strict=True)]
-    moves = solve_symmetric(matrix, down, hold, floor)
+    moves = solve_symmetric(matrix, down, hold, floor, push)
     largest = functools.reduce(jnp.maximum, map(abs, moves))
     shrink = hold(LARGEST_STEP / jnp.maximum(largest, LARGEST_STEP))
     size = reach(arm)

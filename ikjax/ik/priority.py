@@ -36,6 +36,9 @@ EASE = {"float32": 10.0, "float64": 100.0}
 
 STAGES = 3
 
+SAME = {"float32": 1e-5, "float64": 1e-10}
+"""Least values that differ by such a share are one: several branches stand in one pose."""
+
 ALIKE = {"float32": 1e-4, "float64": 1e-7}
 """First errors this close count as equal [reaches, or rad]: then the second decides."""
 
@@ -109,13 +112,20 @@ def _staged(
     return State(q, at, zero + descent.FIRST_DAMPING), flat, bottom
 
 
-def rank(arm: Arm, branches: Projection, priority: str) -> jax.Array:
-    """What the best start has least of, (..., S)."""
+def best(arm: Arm, branches: Projection, priority: str) -> jax.Array:
+    """The first start (...) that has least, but for rounding, of what (..., S) have."""
+    name = branches.q.dtype.name
+    rounding = 16 * float(jnp.finfo(name).eps)
     if priority == "weighted":
-        return branches.cost
-    alike = ALIKE[branches.q.dtype.name]
-    first, second = branches.rotation_error, branches.position_error
+        return jnp.argmax(_least(branches.cost, SAME[name], (rounding * reach(arm)) ** 2), axis=-1)
+    first, second, size, other = branches.rotation_error, branches.position_error, 1, reach(arm)
     if priority == "position":
-        first, second, alike = second, first, alike * reach(arm)
-    least = jnp.min(jnp.where(jnp.isfinite(first), first, jnp.inf), axis=-1, keepdims=True)
-    return jnp.where(first <= least + alike, second, jnp.inf)
+        first, second, size, other = second, first, other, size
+    candidates = jnp.where(_least(first, 0, ALIKE[name] * size), second, jnp.inf)
+    return jnp.argmax(_least(candidates, SAME[name], rounding * other), axis=-1)
+
+
+def _least(values: jax.Array, share: float, slack: Scalar) -> jax.Array:
+    """Which values (..., S) are the least, to a share of it and some more."""
+    values = jnp.where(jnp.isfinite(values), values, jnp.inf)
+    return values <= (1 + share) * jnp.min(values, axis=-1, keepdims=True) + slack

@@ -22,7 +22,7 @@ from ikjax.arm.arm import Arm
 from ikjax.arm.forward import chain, check_joints, fixed_pose, whole_turns
 from ikjax.core import pose as poses
 from ikjax.core import safe
-from ikjax.core.singular import singular_values
+from ikjax.core.singular import singular_values, volume
 from ikjax.core.trig import wrap
 from ikjax.ik.graph import opaque_one
 from ikjax.solvers.family import reach
@@ -45,7 +45,7 @@ def manipulability(arm: Arm, q, *, length=None) -> jax.Array:
     Raises:
         ValueError: q of another length than the arm has joints.
     """
-    return functools.reduce(jnp.multiply, _values(arm, check_joints(arm, q), length))
+    return _volume(arm, check_joints(arm, q), length)
 
 
 def sigma_min(arm: Arm, q, *, length=None) -> jax.Array:
@@ -101,8 +101,18 @@ def _clearance(arm: Arm, i: int, value: jax.Array) -> jax.Array:
 
 
 @jax.jit
+def _volume(arm: Arm, q: jax.Array, length) -> jax.Array:
+    return volume(_columns(arm, q, length))
+
+
+@jax.jit
 def _values(arm: Arm, q: jax.Array, length) -> tuple[jax.Array, ...]:
     """Singular values of the Jacobian, each (...)."""
+    return singular_values(_columns(arm, q, length))
+
+
+def _columns(arm: Arm, q: jax.Array, length) -> list[tuple[jax.Array, ...]]:
+    """Of the Jacobian, or its rows where those are fewer; each entry (...)."""
     one = opaque_one(q[..., 0])
 
     def hold(x):
@@ -116,4 +126,4 @@ def _values(arm: Arm, q: jax.Array, length) -> tuple[jax.Array, ...]:
     motions = zip(units, rates.of_motors(arm, found, tip), strict=True)
     columns = [tuple(x * one for x in rows(motion.times(unit))) for unit, motion in motions]
     few = len(columns) <= len(columns[0])
-    return singular_values(columns if few else list(zip(*columns, strict=True)))
+    return columns if few else list(zip(*columns, strict=True))

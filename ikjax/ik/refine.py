@@ -61,10 +61,12 @@ def refine(
             limits after each step, and the best of all steps is returned.
 
     Returns:
-        `Projection`; its `cost` is the weighted one whatever the priority. Inside jit it takes all `steps`
-        for every start. `q`, `cost` and the errors have slopes in the goals and the arm's leaves, by the
-        condition that holds at the bottom, joints at a limit standing still; those of `q` are zero where it
-        is not `converged`. With `loss` the slopes are those of its steps.
+        `Projection`; its `cost` is the weighted one whatever the priority, and with `loss` that. Of several
+        starts the best, and of those that are level, as branches in one pose are, the first. Inside jit it
+        takes all `steps` for every start. `q`, `cost` and the errors have slopes in the goals and the arm's
+        leaves, by the condition that holds at the bottom, joints at a limit standing still; those of `q` are
+        zero where it is not `converged`. With a priority they are those of a last sum of both errors, to
+        some 1e-3. With `loss` the slopes are those of its steps.
 
     Raises:
         ValueError: Wrong shapes or types.
@@ -77,11 +79,17 @@ def refine(
         starts = starts[..., None, :] if starts.ndim else starts
     if starts.ndim == 0 or starts.shape[-1] != arm.n:
         raise ValueError(f"q0 must have shape {wanted} or (..., S, {arm.n}), got {jnp.shape(q0)}")
+    if starts.shape[-2] == 0:
+        raise ValueError(f"q0 must hold at least one start, got shape {jnp.shape(q0)}")
     try:
         starts = jnp.broadcast_to(starts, (*batch, starts.shape[-2], arm.n))
     except ValueError as error:
         raise ValueError(f"q0 must have shape {wanted} or (..., S, {arm.n}), got {jnp.shape(q0)}") from error
+    if loss is None and optimizer is not None:
+        raise ValueError("optimizer is of a loss: give loss= too")
     if loss is not None:
+        if priority != "weighted":
+            raise ValueError(f"priority is of the errors, and not of a loss: got {priority!r} with loss=")
         return best_of(arm, minimised(arm, goals, starts, loss, optimizer, steps))
     priority = priorities.checked(arm, priority)
     return best_of(arm, descended(arm, goals, starts, length, steps, priority), priority)
@@ -89,14 +97,14 @@ def refine(
 
 def checked(arm: Arm, goals, length) -> tuple[jax.Array, Arm]:
     goals = as_goals(goals)
-    if not isinstance(length, jax.core.Tracer) and not 0 < float(length) < np.inf:
+    if np.ndim(length) or (not isinstance(length, jax.core.Tracer) and not 0 < float(length) < np.inf):
         raise ValueError(f"length must be a positive number of metres, got {length}")
     return goals, arm.astype(goals.dtype)
 
 
 def best_of(arm: Arm, branches: Projection, priority: str = "weighted") -> Projection:
-    """The start that came out lowest, and all of them."""
-    best = jnp.argmin(priorities.rank(arm, branches, priority), axis=-1)
+    """The start that came out lowest, the first of several that are level, and all of them."""
+    best = priorities.best(arm, branches, priority)
 
     def pick(x: jax.Array) -> jax.Array:
         index = best.reshape(*best.shape, *[1] * (x.ndim - best.ndim))

@@ -33,7 +33,8 @@ def with_slopes(arm: Arm, goals, q, bottom, length, converged, priority: str):
     Those of the joints are taken at `bottom`, of the sum of which one error is worth little: there, and not
     where the other is gone, what holds the pose is seen in what is left of it.
     """
-    q = _joints(priority, arm, goals, q, bottom, jax.lax.stop_gradient(length), converged)
+    bottom = _bottom(priority, arm, goals, bottom, jax.lax.stop_gradient(length), converged)
+    q = q + (bottom - jax.lax.stop_gradient(bottom))
     goal = _as_moved(goals, reach(arm))
     asked = descent.Wish(jax.tree.map(lambda x: x[None], goal), length)
     columns = _columns(q)
@@ -74,15 +75,16 @@ def _slope_only(x):
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _joints(priority: str, arm: Arm, goals, q, bottom, length, converged):
+def _bottom(priority: str, arm: Arm, goals, q, length, converged):
     return q
 
 
-@_joints.defjvp
+@_bottom.defjvp
 def _(priority: str, primals, tangents):
-    arm, goals, q, bottom, length, converged = primals
-    q = _joints(priority, arm, goals, q, bottom, length, converged)
-    columns = _columns(bottom)
+    arm, goals, q, length, converged = primals
+    # Called again, it moves with the goal in slopes of slopes.
+    q = _bottom(priority, arm, goals, q, length, converged)
+    columns = _columns(q)
 
     def slope(arm, goals):
         goal = jax.tree.map(lambda x: x[None], _as_moved(goals, reach(arm)))

@@ -86,7 +86,7 @@ def track(
         raise ValueError(f"goals must have shape (..., T, 4, 4), got {goals.shape}")
     q0 = jnp.asarray(q0, goals.dtype)
     batch = goals.shape[:-3]
-    if q0.ndim == 0 or q0.shape[-1] != arm.n:
+    if q0.ndim not in (1, len(batch) + 1) or q0.shape[-1] != arm.n:
         raise ValueError(f"q0 must have shape {(*batch, arm.n)}, got {q0.shape}")
     q0 = jnp.broadcast_to(q0, (*batch, arm.n))
     if slack is None:

@@ -124,10 +124,11 @@ def chunk(plan: Plan, state: State, goals, keys, blurs, pull):
 
 @functools.partial(jax.jit, static_argnums=0)
 def judged(plan: Plan, z: jax.Array, goals: jax.Array):
-    """Numbers (m, k), exact scores (m,) and greatest violations (m,) of every z."""
+    """Numbers (m, k), exact scores (m,) and greatest violations (m,), inf for NaN, of every z."""
 
     def judge(z):
-        return plan.score(z, goals, 0), jnp.max(plan.over(plan.made(z)), initial=-jnp.inf)
+        over = plan.over(plan.made(z))
+        return plan.score(z, goals, 0), jnp.max(jnp.where(jnp.isnan(over), jnp.inf, over), initial=-jnp.inf)
 
     exact, over = jax.lax.map(judge, z, batch_size=plan.together)
     return jax.vmap(plan.parameters.values)(z), exact, over

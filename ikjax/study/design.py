@@ -105,6 +105,12 @@ def design(
         raise ValueError(
             f"starts must be at least 1, steps and finish not negative, got {starts}, {steps} and {finish}"
         )
+    if batch is not None and batch < 1:
+        raise ValueError(f"batch must be at least 1, or None for all goals, got {batch}")
+    if min(blur) <= 0:
+        raise ValueError(f"blur must be two positive numbers, got {blur}")
+    if callable(constraints):
+        raise ValueError("constraints must be a sequence of functions, got a function")
     if isinstance(objective, str):
         if objective not in NAMED:
             raise ValueError(f"objective must be a function or one of {', '.join(NAMED)}, got {objective!r}")
@@ -141,6 +147,10 @@ def design(
     everyone = np.concatenate([z, state.z])
     judge = functools.partial(climb.judged, plan, goals=goals)
     values, exact, over = (np.asarray(x) for x in judge(jnp.asarray(everyone, z.dtype)))
+    if np.isnan(exact).all():
+        raise ValueError(
+            "objective must give a number for some arm, got nan for the given one and all starts"
+        )
     best = _best(exact, over, np.arange(len(exact)) < starts)
     number, score, violation = values[best], exact[best], over[best]
     if finish:

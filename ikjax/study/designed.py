@@ -51,7 +51,7 @@ class Designed:
         for name, value in self.values.items():
             unit = "rad" if name.rpartition(".")[2].startswith("r") or name[:2] in ("al", "th") else "m"
             lines.append(f"  {name:8} {value:+.5f} {unit}")
-        if np.isfinite(self.violation):
+        if self.violation > -np.inf:
             lines.append(f"  constraints: the worst is {self.violation:+.2g}, wanted at most 0")
         lost = np.argwhere(~self.reached)
         lines.append(f"  goals: {self.reached.sum():,} of {self.reached.size:,} reached")

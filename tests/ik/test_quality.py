@@ -201,3 +201,12 @@ def test_second_slopes_through_solve_are_those_of_differences_and_finite_at_sing
     assert regular.sum() > 10 and smooth.sum() > 0.95 * 4 * regular.sum()
     size = 1 + np.abs(rough).max((-1, -2), keepdims=True)
     assert (np.abs(second - rough) / size)[smooth].max() < 1e-5
+
+
+def test_manipulability_bends_where_the_arm_moves_all_ways_alike():
+    """A 2R has a1 a2 sin q2, in shares of its reach: smooth, also where its two singular values are one."""
+    arm = ikjax.robots.planar_2r(np.sqrt(2), 1.0)
+    for q2 in (3 * np.pi / 4, 3 * np.pi / 4 + 1e-12, 0.5):
+        bend = jax.hessian(lambda q: ikjax.manipulability(arm, q))(jnp.array([0.3, q2]))
+        wanted = -np.sqrt(2) / (1 + np.sqrt(2)) ** 2 * np.sin(q2)
+        np.testing.assert_allclose(bend, [[0, 0], [0, wanted]], atol=1e-12)

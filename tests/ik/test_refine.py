@@ -113,7 +113,8 @@ def test_it_ends_where_no_small_move_improves_and_never_above_its_start():
     np.testing.assert_allclose(near.branches.cost, cost_of(ARM, goals[:, None], q), rtol=1e-9, atol=1e-20)
     begun = cost_of(ARM, goals[:, None], np.clip(q0, LOW, HIGH))
     assert (np.array(near.branches.cost) <= begun * (1 + 1e-12)).all()
-    np.testing.assert_array_equal(near.cost, near.branches.cost.min(-1))
+    # The first of those that are level.
+    np.testing.assert_allclose(near.cost, near.branches.cost.min(-1), rtol=1e-10, atol=1e-28)
     rng = np.random.default_rng(4)
     for size in (1e-3, 1e-2):
         beside = np.clip(np.array(near.q) + size * rng.normal(size=(40, 300, 5)), LOW, HIGH)
@@ -172,3 +173,54 @@ def test_an_arm_that_moves_in_a_plane_is_asked_for_what_lies_in_its_own(name):
     gap, turn = ikjax.pose_error(ikjax.fk(arm, near.q), goals)
     np.testing.assert_allclose(near.position_error, gap, atol=1e-9)
     assert near.converged.all() and gap.max() < 1e-6 and turn.max() < 1e-6
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_a_saddle_is_left(dtype):
+    """At full stretch the slope of a goal straight ahead is zero, and no pose of a bottom is."""
+    arm = ikjax.robots.planar_2r().astype(dtype)
+    x = np.array([0.4, 0.8, 0.8991, 0.899595], dtype)
+    goals = ikjax.position(x, np.zeros_like(x), np.zeros_like(x))
+    found = ikjax.refine(arm, goals, np.zeros((4, 2), dtype))
+    # So near to full stretch a slope of nothing, in float32, leaves a tenth of a millimetre.
+    assert found.converged.all() and np.max(found.position_error) < (1e-10 if dtype == np.float64 else 2e-4)
+    path = ikjax.track(arm, goals[::-1], np.zeros(2, dtype))
+    assert path.reached.all() and path.followed[:2].all()
+
+
+@pytest.mark.slow
+def test_slopes_of_slopes_follow_the_bottom():
+    arm = ikjax.robots.planar_3r()
+
+    def near(t):
+        found = ikjax.refine(arm, ikjax.planar_pose(1.32 + t, 0.3, 2.0), jnp.array([0.3, 0.2, 0.1]), 1.0)
+        return jnp.concatenate([jnp.stack([found.cost, found.position_error, found.rotation_error]), found.q])
+
+    slope, h = jax.jit(jax.jacfwd(near)), 1e-4
+    wanted = (slope(h) - slope(-h)) / (2 * h)
+    for outer in (jax.jacfwd, jax.jacrev):
+        np.testing.assert_allclose(outer(jax.jacfwd(near))(0.0), wanted, atol=1e-7)
+
+
+def test_branches_that_are_level_do_not_take_turns():
+    """An L-3 stands in each pose in two ways, whose costs differ by rounding."""
+    arm = ikjax.robots.motoman_l3()
+    x = np.linspace(0.3, 0.6, 100)
+    goals = jax.vmap(lambda x: ikjax.pose(xyz=jnp.stack([x, 0.1, 0.2]), rpy=(3, 0.1, 0.5)))(x)
+    for dtype in (np.float32, np.float64):
+        found = np.asarray(ikjax.project(arm, goals.astype(dtype)).q)
+        assert np.abs(np.diff(found, axis=0)).max() < 0.1
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"optimizer": optax.sgd(0.1)}, "optimizer is of a loss"),
+        ({"loss": lambda arm, goal, q: q[0], "priority": "position"}, "priority is of the errors"),
+        ({"length": np.ones(2)}, "length must be a positive number"),
+        ({"q0": np.zeros((0, 5))}, "q0 must hold at least one start"),
+    ],
+)
+def test_options_that_do_not_go_together_are_named(options, message):
+    with pytest.raises(ValueError, match=message):
+        ikjax.refine(ARM, wild(ARM, 1)[0], **{"q0": np.zeros(5), **options})

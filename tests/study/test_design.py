@@ -26,6 +26,10 @@ def clearance_for_length(arm, sol, blur):
     return ikjax.objectives.worst_margin(arm, sol, blur) - 0.5 * arm.a.sum()
 
 
+def never(arm, sol, blur):
+    return sol.margin.sum() * np.nan
+
+
 def study(**settings):
     settings = {"blur": (0.1, 1e-4), "steps": 250, "starts": 3, "vary": {"a": (0.1, 2.0)}, **settings}
     return ikjax.design(ikjax.robots.planar_2r(0.9, 0.3), settings.pop("goals", ring()), **settings)
@@ -85,6 +89,15 @@ def test_a_constraint_holds_in_the_end():
     short = study(objective="worst_margin", constraints=(lambda arm: arm.a.sum() - 1.3,), steps=400)
     assert short.violation < 1e-4
     np.testing.assert_allclose(short.numbers, BEST, atol=2e-3)
+
+
+def test_a_constraint_that_is_no_number_is_not_met():
+    def short(arm):
+        return jnp.log(0.45 - arm.a[1]) + 0.5  # at most -0.5 up to a2 = 0.45 - e^-1, no number above 0.45
+
+    given = ikjax.robots.planar_2r(0.6, 0.5)
+    made = ikjax.design(given, ring(), {"a2": (0.3, 0.7)}, constraints=[short], starts=1, steps=0)
+    assert made.violation == np.inf and "constraints: the worst is +inf" in made.report()
 
 
 @pytest.mark.slow
@@ -191,6 +204,10 @@ def test_numbers_that_stand_still_count_in_a_tie():
         ({"objective": "beauty"}, "objective must be a function or one of coverage, dexterity"),
         ({"goals": np.full((3, 4, 4), np.nan)}, "none of them is one"),
         ({"starts": 0}, "starts must be at least 1"),
+        ({"batch": 0}, "batch must be at least 1"),
+        ({"blur": (0, 0)}, "blur must be two positive numbers"),
+        ({"constraints": lambda arm: arm.a.sum()}, "constraints must be a sequence of functions"),
+        ({"objective": never, "steps": 0}, "objective must give a number for some arm"),
         ({"objective": "dexterity"}, r"dexterity wants goals \(positions, orientations"),
     ],
 )
