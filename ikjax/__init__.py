@@ -1,7 +1,5 @@
 """ikjax: closed-form inverse kinematics as differentiable JAX."""
 
-import sys
-
 from ikjax.arm import robots
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import fk, frames
@@ -31,8 +29,5 @@ from ikjax.study.reach import ReachMap
 from ikjax.study.surface import Surface, surface
 from ikjax.study.sweep import sweep
 from ikjax.study.verify import verify
-
-# `from ikjax.robots import puma560` too.
-sys.modules.update({f"{__name__}.robots": robots, f"{__name__}.objectives": objectives})
 
 __version__ = "0.1.0"

@@ -16,7 +16,8 @@ class Projection:
     q: jax.Array
     """(..., n) joint values [rad, m], within the limits; always finite."""
     cost: jax.Array
-    """(...) |dp|^2 + (length * angle)^2 [m^2], or a loss of the caller's own."""
+    """(...) |dp|^2 + (length * angle)^2 [m^2], or a loss of the caller's own. Of a goal that is no pose it
+    says nothing; `converged` tells."""
     position_error: jax.Array
     """(...) distance of `fk(arm, q)` from the goal [m]; of what the arm's task asks for."""
     rotation_error: jax.Array
