@@ -19,6 +19,9 @@ from ikjax.solvers.family import reach
 LENGTH = 0.1
 ARM = ikjax.robots.get("so101")
 LOW, HIGH = np.array(ARM.limits).T
+BOTH_TYPES = pytest.mark.parametrize(
+    "dtype", [pytest.param(np.float32, marks=pytest.mark.slow), np.float64], ids=["float32", "float64"]
+)
 
 
 def rotations(count, seed=0):
@@ -175,7 +178,7 @@ def test_an_arm_that_moves_in_a_plane_is_asked_for_what_lies_in_its_own(name):
     assert near.converged.all() and gap.max() < 1e-6 and turn.max() < 1e-6
 
 
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@BOTH_TYPES
 def test_a_saddle_is_left(dtype):
     """At full stretch the slope of a goal straight ahead is zero, and no pose of a bottom is."""
     arm = ikjax.robots.planar_2r().astype(dtype)
@@ -202,14 +205,14 @@ def test_slopes_of_slopes_follow_the_bottom():
         np.testing.assert_allclose(outer(jax.jacfwd(near))(0.0), wanted, atol=1e-7)
 
 
-def test_branches_that_are_level_do_not_take_turns():
+@BOTH_TYPES
+def test_branches_that_are_level_do_not_take_turns(dtype):
     """An L-3 stands in each pose in two ways, whose costs differ by rounding."""
     arm = ikjax.robots.motoman_l3()
     x = np.linspace(0.3, 0.6, 100)
     goals = jax.vmap(lambda x: ikjax.pose(xyz=jnp.stack([x, 0.1, 0.2]), rpy=(3, 0.1, 0.5)))(x)
-    for dtype in (np.float32, np.float64):
-        found = np.asarray(ikjax.project(arm, goals.astype(dtype)).q)
-        assert np.abs(np.diff(found, axis=0)).max() < 0.1
+    found = np.asarray(ikjax.project(arm, goals.astype(dtype)).q)
+    assert np.abs(np.diff(found, axis=0)).max() < 0.1
 
 
 @pytest.mark.parametrize(
