@@ -129,7 +129,9 @@ def descended(
     if columns is None and steps == 0:
         found = jax.tree.map(lambda *slots: jnp.stack(slots), *closed(arm_still, entries, still[3]))
     else:
-        found = _descended(arm_still, entries, columns, still[3], steps, None, priority)
+        goal, proper, near = asked(arm_still, entries)
+        columns = proposals(arm_still, goal, near) if columns is None else columns
+        found = from_starts(arm_still, goal, proper, columns, still[3], steps, None, priority)
     shape = found.cost.shape
 
     def rows(x):
@@ -156,13 +158,6 @@ class Found(NamedTuple):
     damping: jax.Array
     bottom: tuple
     """Joints at which the slopes are taken."""
-
-
-def _descended(arm: Arm, entries: Entries, starts, length, steps, damping, priority: str) -> Found:
-    """All starts of goals, whose entries are (...), each number (S, ...)."""
-    goal, proper, near = asked(arm, entries)
-    starts = proposals(arm, goal, near) if starts is None else starts
-    return from_starts(arm, goal, proper, starts, length, steps, damping, priority)
 
 
 def closed(arm: Arm, entries: Entries, length) -> list[Found]:

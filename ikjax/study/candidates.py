@@ -63,7 +63,7 @@ def solved(arm: Arm, goals: np.ndarray, points: np.ndarray, turns: np.ndarray, l
         parts = itertools.product(range(0, len(goals), width), range(0, len(points), CALL))
         for first, at in parts:
             # What is too much repeats the first goal, so that no margin has to be left out of the worst: a
-            # choice before the minimum took newer XLA a quarter of an hour to compile.
+            # choice before the minimum took XLA (jax 0.12) thirteen minutes to compile.
             some = first + np.arange(width)
             here = np.count_nonzero(some < len(goals))
             some = np.where(some < len(goals), some, first)

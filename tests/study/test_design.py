@@ -93,11 +93,18 @@ def test_a_constraint_holds_in_the_end():
 
 def test_a_constraint_that_is_no_number_is_not_met():
     def short(arm):
-        return jnp.log(0.45 - arm.a[1]) + 0.5  # at most -0.5 up to a2 = 0.45 - e^-1, no number above 0.45
+        return jnp.log(0.45 - arm.a[1])  # negative below 0.45, no number above
 
-    given = ikjax.robots.planar_2r(0.6, 0.5)
-    made = ikjax.design(given, ring(), {"a2": (0.3, 0.7)}, constraints=[short], starts=1, steps=0)
-    assert made.violation == np.inf and "constraints: the worst is +inf" in made.report()
+    def length(arm, sol, blur):
+        return arm.a.sum()
+
+    given, vary, rule = ikjax.robots.planar_2r(0.6, 0.5), {"a2": (0.3, 0.7)}, [short]
+    alone, made = (
+        ikjax.design(given, ring(), vary, length, constraints=rule, starts=starts, steps=0)
+        for starts in (1, 12)
+    )
+    assert alone.violation == np.inf and "constraints: the worst is +inf" in alone.report()
+    assert made.violation <= 0 and made.values["a2"] < 0.45 and made.score < alone.score
 
 
 @pytest.mark.slow
