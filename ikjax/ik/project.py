@@ -56,7 +56,9 @@ def project(
     Raises:
         ValueError: Wrong shapes or types.
     """
-    goals, arm = checked(arm, goals, length)
+    goals, arm = checked(arm, goals, length, steps)
+    if beside is not None and beside < 0:
+        raise ValueError(f"beside must not be negative, got {beside}")
     priority = priorities.checked(arm, priority)
     more = _beside(arm, goals, steps, beside, priority)
     return best_of(arm, _from_all(arm, goals, length, steps, more, priority), priority)

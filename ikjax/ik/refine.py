@@ -71,7 +71,7 @@ def refine(
     Raises:
         ValueError: Wrong shapes or types.
     """
-    goals, arm = checked(arm, goals, length)
+    goals, arm = checked(arm, goals, length, steps)
     starts = jnp.asarray(q0, goals.dtype)
     batch = goals.shape[:-2]
     wanted = (*batch, arm.n)
@@ -95,8 +95,10 @@ def refine(
     return best_of(arm, descended(arm, goals, starts, length, steps, priority), priority)
 
 
-def checked(arm: Arm, goals, length) -> tuple[jax.Array, Arm]:
+def checked(arm: Arm, goals, length, steps: int) -> tuple[jax.Array, Arm]:
     goals = as_goals(goals)
+    if not isinstance(steps, int | np.integer) or steps < 0:
+        raise ValueError(f"steps must be a whole number, not negative, got {steps!r}")
     if np.ndim(length) or (not isinstance(length, jax.core.Tracer) and not 0 < float(length) < np.inf):
         raise ValueError(f"length must be a positive number of metres, got {length}")
     return goals, arm.astype(goals.dtype)

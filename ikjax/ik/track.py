@@ -81,7 +81,7 @@ def track(
     Raises:
         ValueError: Wrong shapes or types, or an arm of no family.
     """
-    goals, arm = checked(arm, goals, length)
+    goals, arm = checked(arm, goals, length, steps)
     if goals.ndim < 3:
         raise ValueError(f"goals must have shape (..., T, 4, 4), got {goals.shape}")
     q0 = jnp.asarray(q0, goals.dtype)

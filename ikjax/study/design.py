@@ -101,16 +101,7 @@ def design(
     if not kept.any():
         raise ValueError("goals must hold a pose, none of them is one")
     goals = goals if kept.all() else goals[np.flatnonzero(kept)]
-    if starts < 1 or min(steps, finish) < 0:
-        raise ValueError(
-            f"starts must be at least 1, steps and finish not negative, got {starts}, {steps} and {finish}"
-        )
-    if batch is not None and batch < 1:
-        raise ValueError(f"batch must be at least 1, or None for all goals, got {batch}")
-    if min(blur) <= 0:
-        raise ValueError(f"blur must be two positive numbers, got {blur}")
-    if callable(constraints):
-        raise ValueError("constraints must be a sequence of functions, got a function")
+    _check(constraints, starts, steps, blur, batch, finish)
     if isinstance(objective, str):
         if objective not in NAMED:
             raise ValueError(f"objective must be a function or one of {', '.join(NAMED)}, got {objective!r}")
@@ -203,6 +194,19 @@ def _searched(judge, z: np.ndarray, best: tuple, count: int, seed: int, together
             z, best = beside[i], (values[i], exact[i], over[i])
         size *= LONGER if better else SHORTER
     return best
+
+
+def _check(constraints, starts: int, steps: int, blur, batch: int | None, finish: int) -> None:
+    if starts < 1 or min(steps, finish) < 0:
+        raise ValueError(
+            f"starts must be at least 1, steps and finish not negative, got {starts}, {steps} and {finish}"
+        )
+    if batch is not None and batch < 1:
+        raise ValueError(f"batch must be at least 1, or None for all goals, got {batch}")
+    if min(blur) <= 0:
+        raise ValueError(f"blur must be two positive numbers, got {blur}")
+    if callable(constraints):
+        raise ValueError("constraints must be a sequence of functions, got a function")
 
 
 def _poses(arm: Arm, goals: jax.Array) -> np.ndarray:

@@ -253,6 +253,20 @@ def screwed():
     )
 
 
+@pytest.mark.slow
+def test_a_sweep_within_limits_turns_no_motor_that_may_not():
+    arm, rotations = screwed(), np.zeros((4, 3, 3))
+    for rotation, angle in zip(rotations, (0.3, 1.5, 2.9, 4.4), strict=True):
+        rotation[:] = [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
+    grid = ikjax.grid((-0.3, -0.3, -0.05), (0.3, 0.3, 0.05), 0.05)
+    found = ikjax.sweep(arm, grid, rotations, statistics=("reachable_within", "reachable"))
+    goals = np.broadcast_to(np.eye(4), (*grid.shape, 4, 4, 4)).copy()
+    goals[..., :3, :3], goals[..., :3, 3] = rotations, grid.points().reshape(*grid.shape, 1, 3)
+    wanted = ikjax.within_limits(arm, ikjax.solve(arm, goals)).valid.any(-1).sum(-1)
+    np.testing.assert_array_equal(found.arrays["reachable_within"], wanted)
+    assert found.arrays["reachable"].sum() > wanted.sum() > 0
+
+
 @pytest.mark.parametrize("traced", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_a_turn_of_a_motor_that_is_another_pose_is_not_taken(traced, rng):
     arm = screwed()

@@ -222,6 +222,7 @@ def test_branches_that_are_level_do_not_take_turns(dtype):
         ({"loss": lambda arm, goal, q: q[0], "priority": "position"}, "priority is of the errors"),
         ({"length": np.ones(2)}, "length must be a positive number"),
         ({"q0": np.zeros((0, 5))}, "q0 must hold at least one start"),
+        ({"steps": -1}, "steps must be a whole number, not negative, got -1"),
     ],
 )
 def test_options_that_do_not_go_together_are_named(options, message):
