@@ -17,6 +17,7 @@ from ikjax.arm import dh, freedom, structure, table
 from ikjax.arm.axes import Axes, Rewritten, rewritten
 from ikjax.arm.rules import RULES
 from ikjax.core import pose as poses
+from ikjax.core.known import as_array, constants, is_traced
 from ikjax.core.trig import Scalar
 
 Number = jax.Array | np.ndarray
@@ -122,7 +123,7 @@ class Arm:
             return _built(kinds, leaves, family, up, name, dtype)
         if correction is not None:
             raise ValueError("correction is what tolerance= finds: give one or the other")
-        if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves.values()):
+        if is_traced(leaves):
             raise ValueError("tolerance= needs concrete numbers: build the arm outside jit")
         frames = dh.frames(kinds, columns)
         given = Axes(kinds, frames[:-1, :3, 2], frames[:-1, :3, 3], frames[-1] @ tool)
@@ -196,34 +197,47 @@ class Arm:
         axes are right angles, and base and tool are rotations, to the last digit. Otherwise no goal would be
         reached to 1e-9.
         """
-        arm = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), self)
+        arm = jax.tree.map(lambda leaf: as_array(leaf, dtype), self)
         if arm.base.dtype.itemsize <= self.base.dtype.itemsize:
             return arm
-        square = np.asarray(math.pi / 2, dtype) * jnp.round(arm.alpha / np.asarray(math.pi / 2, dtype))
-        rounded = abs(arm.alpha - square) <= math.pi * float(jnp.finfo(self.alpha.dtype).eps)
+        if not is_traced(self):
+            with jax.ensure_compile_time_eval():
+                return arm._unrounded(self)
+        return arm._unrounded(self)
+
+    def _unrounded(self, narrow: "Arm") -> "Arm":
+        dtype = self.dtype
+        square = np.asarray(math.pi / 2, dtype) * jnp.round(self.alpha / np.asarray(math.pi / 2, dtype))
+        rounded = abs(self.alpha - square) <= math.pi * float(jnp.finfo(narrow.dtype).eps)
         return dataclasses.replace(
-            arm,
-            alpha=jnp.where(rounded, square, arm.alpha),
-            base=poses.rigid(arm.base),
-            tool=poses.rigid(arm.tool),
+            self,
+            alpha=jnp.where(rounded, square, self.alpha),
+            base=poses.rigid(self.base),
+            tool=poses.rigid(self.tool),
         )
 
     def baked(self) -> "Arm":
-        """The same arm as plain numpy numbers, which a kernel folds in as constants.
+        """The same arm as plain numpy numbers, which a kernel folds in as constants; traced leaves stay.
 
         For one arm and very many goals; every change of a number compiles anew.
         """
-        return jax.tree.map(np.asarray, self)
+        return constants(self)
 
-    def split(self) -> tuple[tuple, list]:
+    def split(self, whole: bool = False) -> tuple[tuple, list]:
         """The arm as what a kernel gains by knowing, hashable, and the numbers it need not know.
 
-        Known are the twists and whatever is 0, 1 or -1: arms that agree in those share a compile.
+        Known are the twists and whatever is 0, 1 or -1: arms that agree in those share a compile. With
+        `whole` everything is known but traced leaves. The name is in neither part.
         """
-        leaves, treedef = jax.tree.flatten(self.baked())
-        known, rest = [], []
+        leaves, treedef = jax.tree.flatten(dataclasses.replace(self, name="").baked())
+        known: list[tuple] = []
+        rest: list[Number] = []
         for leaf in leaves:
-            keep = np.isin(leaf, (0, 1, -1)) | (leaf is leaves[1])
+            if is_traced(leaf):
+                known.append((leaf.shape, leaf.dtype.name, None, b""))
+                rest.append(leaf)
+                continue
+            keep = np.isin(leaf, (0, 1, -1)) | (leaf is leaves[1]) | whole
             known.append((leaf.shape, leaf.dtype.name, keep.tobytes(), leaf[keep].tobytes()))
             rest.append(leaf[~keep])
         return (treedef, tuple(known)), rest
@@ -234,6 +248,9 @@ class Arm:
         treedef, parts = known
         leaves = []
         for (shape, dtype, keep, values), others in zip(parts, rest, strict=True):
+            if keep is None:
+                leaves.append(others)
+                continue
             keep = np.frombuffer(keep, bool)
             values = np.frombuffer(values, dtype)
             if keep.all():

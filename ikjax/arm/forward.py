@@ -17,6 +17,7 @@ import numpy as np
 from ikjax.arm.arm import Arm, numbers
 from ikjax.core import pose as poses
 from ikjax.core import vector
+from ikjax.core.known import as_array
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Scalar, sincos
 from ikjax.core.vector import plus, times
@@ -218,7 +219,7 @@ def _columns(q: jax.Array) -> tuple[jax.Array, ...]:
 
 def check_joints(arm: Arm, q) -> jax.Array:
     """q as an array of the arm's type, (..., n)."""
-    q = jnp.asarray(q, arm.dtype)
+    q = as_array(q, arm.dtype)
     if q.ndim == 0 or q.shape[-1] != arm.n:
         raise ValueError(f"q must have shape (..., {arm.n}) for {arm.name}, got {q.shape}")
     return q
@@ -237,13 +238,14 @@ def fk(arm: Arm, q) -> jax.Array:
     Raises:
         ValueError: q of another length.
     """
-    last = chain(arm, _columns(check_joints(arm, q))).last
+    q, arm = check_joints(arm, q), arm.baked()
+    last = chain(arm, _columns(q)).last
     return poses.to_matrix(poses.compose(last, fixed_pose(arm.tool)))
 
 
 def frames(arm: Arm, q) -> jax.Array:
     """Where the base and every link stand: (..., n + 1, 4, 4), base first, the tool left out."""
-    q = check_joints(arm, q)
+    q, arm = check_joints(arm, q), arm.baked()
     zero = jnp.zeros_like(q[..., 0])
     found = chain(arm, _columns(q))
     spread = [jax.tree.map(lambda x: x + zero, frame) for frame in (*found.before, found.last)]

@@ -100,11 +100,12 @@ def of_numbers(arm: Arm, rates: Arm, q: tuple[Scalar, ...], found: Chain, tip: V
     """
     total = _mounted(fixed_pose(arm.base), fixed_pose(rates.base), None, tip)
     total = total.plus(_mounted(fixed_pose(arm.tool), fixed_pose(rates.tool), found.last, tip))
-    for i, (before, end) in enumerate(zip(found.before, found.ends, strict=True)):
+    table = zip(*map(numbers, (rates.d, rates.a, rates.theta, rates.alpha)), strict=True)
+    for before, end, (d, a, theta, alpha) in zip(found.before, found.ends, table, strict=True):
         z, x = _axis(before, 2), _axis(end, 0)
-        total = total.plus(sliding(z).times(rates.d[i])).plus(sliding(x).times(rates.a[i]))
-        total = total.plus(turning(z, before.position, tip).times(rates.theta[i]))
-        total = total.plus(turning(x, end.position, tip).times(rates.alpha[i]))
+        total = total.plus(sliding(z).times(d)).plus(sliding(x).times(a))
+        total = total.plus(turning(z, before.position, tip).times(theta))
+        total = total.plus(turning(x, end.position, tip).times(alpha))
     if arm.coupling is not None and rates.coupling is not None:
         moves = [functools.reduce(plus, map(times, numbers(rates.coupling[i]), q)) for i in range(arm.n)]
         total = total.plus(_sum(of_joints(arm, found, tip), moves))

@@ -63,8 +63,7 @@ def in_blocks(block: Callable[..., Any], arm: Arm, inputs):
         inputs: A tree of arrays (N, ...); rows of zeros are added where they are few.
     """
     count = jax.tree.leaves(inputs)[0].shape[0]
-    # The name does not enter the answers.
-    known, rest = dataclasses.replace(arm, name="").split()
+    known, rest = arm.split()
     rest = [jnp.asarray(leaf) for leaf in rest]
     inputs = jax.tree.map(_padded, inputs)
     leaves, form = jax.tree.flatten((rest, _cut(inputs, 0, PIECE)))

@@ -12,10 +12,15 @@ a third writing down of which nothing else is kept. A kernel that is too large f
 down once, held.
 """
 
+import functools
+from collections.abc import Callable
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 
 from ikjax.arm.arm import Arm
+from ikjax.core.known import is_traced
 from ikjax.core.pose import Pose
 from ikjax.ik.solutions import Solutions
 from ikjax.solvers import FAMILIES
@@ -63,8 +68,25 @@ def opaque_one(like: jax.Array) -> jax.Array:
 
 def is_small(arm: Arm) -> bool:
     """Whether the arm's kernel can be one fused loop: not where its zeros and ones are not known."""
-    traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(arm))
-    return FAMILIES[str(arm.family)].small and arm.correction is None and not traced
+    return FAMILIES[str(arm.family)].small and arm.correction is None and not is_traced(arm)
+
+
+def jit_with_arm(f: Callable[..., Any]) -> Callable[..., Any]:
+    """`jax.jit` of f(arm, *arrays) to which an arm stays known that is.
+
+    Called eagerly, one program serves all arms of the same zeros, ones and twists. Within an outer jit, or
+    under `grad` and `vmap`, all leaves that are not traced are constants.
+    """
+
+    @functools.partial(jax.jit, static_argnums=0, inline=True)
+    def of_known(known, rest, *arrays):
+        return f(Arm.join(known, rest), *arrays)
+
+    @functools.wraps(f)
+    def call(arm: Arm, *arrays):
+        return of_known(*arm.split(whole=is_traced((arm, arrays))), *arrays)
+
+    return call
 
 
 def solve_here(arm: Arm, goals: jax.Array, q_now, tolerance) -> Solutions:

@@ -38,8 +38,8 @@ DAMPING = 16
 BLOCK = 4096
 """Goals whose slopes are worked on at a time."""
 
-Build = Callable[[list], Arm]
-"""The arm of its leaves that are traced."""
+Known = tuple
+"""The leaves of an arm that are not traced; see `Arm.split`."""
 
 
 def with_slopes(arm: Arm, goals: jax.Array, q, valid, margin, damping: float | None):
@@ -56,30 +56,23 @@ def with_slopes(arm: Arm, goals: jax.Array, q, valid, margin, damping: float | N
     """
     if damping is None:
         damping = DAMPING * float(jnp.finfo(q.dtype).eps) ** 0.5
-    leaves, form = jax.tree.flatten(arm)
+    known, leaves = arm.split(whole=True)
 
-    def build(leaves: list) -> Arm:
-        return jax.tree.unflatten(form, leaves) if leaves else baked
-
-    if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
-        baked = arm
-    else:
-        leaves, baked = [], arm.baked()
     return (
-        _joints(build, damping, leaves, goals, q, valid),
-        _margins(build, leaves, goals, margin),
+        _joints(known, damping, leaves, goals, q, valid),
+        _margins(known, leaves, goals, margin),
     )
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
-def _joints(build: Build, damping: float, leaves: list, goals, q, valid):
+def _joints(known: Known, damping: float, leaves: list, goals, q, valid):
     return q
 
 
-def _slope_of_joints(build: Build, damping: float, primals, tangents):
+def _slope_of_joints(known: Known, damping: float, primals, tangents):
     leaves, goals, q, valid = primals
     # Joints with their slopes, for slopes of this slope.
-    q = _joints(build, damping, leaves, goals, q, valid)
+    q = _joints(known, damping, leaves, goals, q, valid)
     # Numbers that stand still are zeros which need not be computed with.
     still = all(isinstance(rate, SymbolicZero) for rate in tangents[0])
     leaf_rates = [np.zeros(x.shape, x.dtype) if isinstance(x, SymbolicZero) else x for x in tangents[0]]
@@ -87,14 +80,25 @@ def _slope_of_joints(build: Build, damping: float, primals, tangents):
     def motion(goal_rates, q, valid):
         if still and goal_rates is None:
             return jnp.zeros_like(q)
-        arm = build(leaves)
-        return _motion(arm, None if still else build(leaf_rates), goal_rates, q, valid, damping)
+        arm = Arm.join(known, leaves)
+        arm_rates = None if still else _arm_of_rates(known, leaf_rates)
+        return _motion(arm, arm_rates, goal_rates, q, valid, damping)
 
     goal_rates = None if isinstance(tangents[1], SymbolicZero) else tangents[1]
     return q, _blockwise(motion, valid.shape[:-1], (goal_rates, q, valid))
 
 
 _joints.defjvp(_slope_of_joints, symbolic_zeros=True)
+
+
+def _arm_of_rates(known: Known, leaf_rates: list) -> Arm:
+    """The rates of the traced leaves, and zeros for those that are known."""
+    form, parts = known
+    rates = [
+        rate if keep is None else np.zeros(shape, dtype)
+        for (shape, dtype, keep, _), rate in zip(parts, leaf_rates, strict=True)
+    ]
+    return jax.tree.unflatten(form, rates)
 
 
 def _blockwise(f: Callable[..., jax.Array], batch: tuple[int, ...], rows) -> jax.Array:
@@ -120,21 +124,21 @@ def _blockwise(f: Callable[..., jax.Array], batch: tuple[int, ...], rows) -> jax
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _margins(build: Build, leaves: list, goals, margin):
+def _margins(known: Known, leaves: list, goals, margin):
     return margin
 
 
 @_margins.defjvp
-def _(build: Build, primals, tangents):
+def _(known: Known, primals, tangents):
     leaves, goals, margin = primals
 
     def written(leaves, goals):
         hold = holder(goals[..., 0, 3])
-        slots = slots_of(build(leaves), entries_of(goals), None, None, hold=hold)
+        slots = slots_of(Arm.join(known, leaves), entries_of(goals), None, None, hold=hold)
         return jnp.stack([jnp.broadcast_to(s.margin, goals.shape[:-2]) for s in slots], axis=-1)
 
     _, slope = jax.jvp(written, (leaves, goals), tangents[:2])
-    return _margins(build, leaves, goals, margin), slope
+    return _margins(known, leaves, goals, margin), slope
 
 
 def _motion(arm: Arm, arm_rates: Arm | None, goal_rates, q, valid, damping):

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ikjax.arm.arm import Arm
+from ikjax.core.known import as_array, stop_gradient
 from ikjax.ik import priority as priorities
 from ikjax.ik.projection import Projection
 from ikjax.ik.refine import STEPS, best_of, checked, descended
@@ -80,7 +81,7 @@ def _from_all(arm: Arm, goals, length, steps: int, more, priority: str) -> Proje
         return descended(arm, goals, more, length, steps, priority)
     if priority != "weighted" and steps:
         # The closed form once for all priorities, and all starts in one program.
-        still = jax.lax.stop_gradient((arm, goals, jnp.asarray(length, goals.dtype)))
+        still = stop_gradient((arm, goals, as_array(length, goals.dtype)))
         closed = descended(*still[:2], None, still[2], 0).q
         starts = jnp.concatenate([closed, more], axis=-2)
         return descended(arm, goals, starts, length, steps, priority)

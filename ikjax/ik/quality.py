@@ -18,13 +18,13 @@ import jax
 import jax.numpy as jnp
 
 from ikjax.arm import rates
-from ikjax.arm.arm import Arm
+from ikjax.arm.arm import Arm, numbers
 from ikjax.arm.forward import chain, check_joints, fixed_pose, whole_turns
 from ikjax.core import pose as poses
 from ikjax.core import safe
 from ikjax.core.singular import singular_values, volume
 from ikjax.core.trig import wrap
-from ikjax.ik.graph import opaque_one
+from ikjax.ik.graph import jit_with_arm, opaque_one
 from ikjax.solvers.family import reach
 
 
@@ -81,13 +81,13 @@ def limit_distance(arm: Arm, q) -> jax.Array:
     return _limit_distance(arm, check_joints(arm, q))
 
 
-@jax.jit
+@jit_with_arm
 def _limit_distance(arm: Arm, q: jax.Array) -> jax.Array:
     return functools.reduce(jnp.minimum, [_clearance(arm, i, q[..., i]) for i in range(arm.n)])
 
 
 def _clearance(arm: Arm, i: int, value: jax.Array) -> jax.Array:
-    lower, upper = (jnp.asarray(arm.limits, value.dtype)[i, k] for k in (0, 1))
+    lower, upper = (jnp.asarray(limit, value.dtype) for limit in numbers(arm.limits[i]))
     # Zeros in the place of infinities keep them out of the slopes.
     low, high = (jnp.where(jnp.isfinite(limit), limit, 0) for limit in (lower, upper))
     size = reach(arm) if arm.kinds[i] == "P" else 1
@@ -100,12 +100,12 @@ def _clearance(arm: Arm, i: int, value: jax.Array) -> jax.Array:
     return jnp.where(whole_turns(arm)[i], jnp.where(bounded, jnp.minimum(inside, math.pi), math.pi), straight)
 
 
-@jax.jit
+@jit_with_arm
 def _volume(arm: Arm, q: jax.Array, length) -> jax.Array:
     return volume(_columns(arm, q, length))
 
 
-@jax.jit
+@jit_with_arm
 def _values(arm: Arm, q: jax.Array, length) -> tuple[jax.Array, ...]:
     """Singular values of the Jacobian, each (...)."""
     return singular_values(_columns(arm, q, length))

@@ -12,13 +12,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from ikjax.arm.arm import Arm
+from ikjax.core.known import as_array, is_traced, stop_gradient
 from ikjax.core.pose import Pose
 from ikjax.ik import blocks, descent
 from ikjax.ik import priority as priorities
 from ikjax.ik.graph import Entries, entries_of, holder
 from ikjax.ik.lossy import minimised
 from ikjax.ik.projection import Projection
-from ikjax.ik.solve import as_goals, is_traced
+from ikjax.ik.solve import as_goals
 from ikjax.ik.stationary import with_slopes
 from ikjax.solvers.family import clean, proposed, reach
 
@@ -72,7 +73,7 @@ def refine(
         ValueError: Wrong shapes or types.
     """
     goals, arm = checked(arm, goals, length, steps)
-    starts = jnp.asarray(q0, goals.dtype)
+    starts = as_array(q0, goals.dtype)
     batch = goals.shape[:-2]
     wanted = (*batch, arm.n)
     if starts.ndim < goals.ndim or (goals.ndim == 2 and starts.ndim == 1):
@@ -119,11 +120,11 @@ def descended(
     arm: Arm, goals: jax.Array, starts, length, steps: int, priority: str = "weighted"
 ) -> Projection:
     """Every start (..., S, n) after its steps, fields (..., S); the closed form's own where it is None."""
-    length = jnp.asarray(length, goals.dtype)
+    length = as_array(length, goals.dtype)
     if not is_traced((arm, goals, starts, length)):
         return _in_blocks(arm, goals, starts, length, steps, priority)
-    still = jax.lax.stop_gradient((arm, goals, starts, length))
-    arm_still = still[0] if is_traced(arm) else arm.baked()
+    still = stop_gradient((arm, goals, starts, length))
+    arm_still = still[0].baked()
     columns = None if starts is None else tuple(still[2][..., i] for i in range(arm.n))
     if columns is not None:
         columns = tuple(jnp.moveaxis(x, -1, 0) for x in columns)

@@ -15,6 +15,7 @@ import numpy as np
 
 from ikjax.arm import structure
 from ikjax.arm.arm import Arm
+from ikjax.core.known import as_array, is_traced, stop_gradient
 from ikjax.ik import blocks
 from ikjax.ik.graph import solve_here
 from ikjax.ik.implicit import with_slopes
@@ -51,7 +52,7 @@ def solve(
     arm = arm.astype(goals.dtype)
     batch = goals.shape[:-2]
     if q_now is not None:
-        q_now = jnp.asarray(q_now, goals.dtype)
+        q_now = as_array(q_now, goals.dtype)
         if q_now.ndim == 0 or q_now.shape[-1] != arm.n:
             raise ValueError(f"q_now must have shape (..., {arm.n}), got {q_now.shape}")
         try:
@@ -63,7 +64,7 @@ def solve(
     if not is_traced(goals):
         # Goals that a jit captures are constants to XLA, which would fold what holds shared values apart.
         goals = jax.lax.optimization_barrier(goals)
-    sol = _solved(*jax.lax.stop_gradient((arm, goals, q_now)), tolerance)
+    sol = _solved(*stop_gradient((arm, goals, q_now)), tolerance)
     q, margin = with_slopes(arm, goals, sol.q, sol.valid, sol.margin, damping)
     return dataclasses.replace(sol, q=q, margin=margin)
 
@@ -71,17 +72,13 @@ def solve(
 def _solved(arm: Arm, goals: jax.Array, q_now, tolerance) -> Solutions:
     """`Solutions` without slopes."""
     if is_traced((arm, goals, q_now)):
-        # An arm that is not traced itself becomes constants of the caller's jit.
-        return solve_here(arm if is_traced(arm) else arm.baked(), goals, q_now, tolerance)
+        # What of the arm is not traced itself becomes constants of the caller's jit.
+        return solve_here(arm.baked(), goals, q_now, tolerance)
     batch = goals.shape[:-2]
     flat = goals.reshape(-1, 4, 4)
     now = None if q_now is None else q_now.reshape(-1, arm.n)
     packed = blocks.solve_blocks(arm, flat, now, tolerance)
     return jax.tree.map(lambda x: x.reshape(*batch, *x.shape[1:]), packed)
-
-
-def is_traced(tree) -> bool:
-    return any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(tree))
 
 
 def check_family(arm: Arm) -> None:

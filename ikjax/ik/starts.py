@@ -10,12 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from ikjax.arm.arm import Arm
+from ikjax.core.known import is_traced, stop_gradient
 from ikjax.core.trig import Scalar
 from ikjax.ik import blocks
 from ikjax.ik.descent import TURN, bounds
 from ikjax.ik.graph import Entries, entries_of
 from ikjax.ik.refine import asked
-from ikjax.ik.solve import is_traced
 from ikjax.solvers.family import proposed, proposed_at_ends
 
 
@@ -29,8 +29,8 @@ def at_limits(arm: Arm, goals: jax.Array) -> jax.Array:
     if not is_traced((arm, goals)):
         found = blocks.in_blocks(_AtLimits(), arm, goals.reshape(-1, 4, 4))
         return found.reshape(*goals.shape[:-2], *found.shape[1:])
-    arm, goals = jax.lax.stop_gradient((arm, goals))
-    rows = _at_limits(arm if is_traced(arm) else arm.baked(), entries_of(goals))
+    arm, goals = stop_gradient((arm, goals))
+    rows = _at_limits(arm.baked(), entries_of(goals))
     return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
 
 

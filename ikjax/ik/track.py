@@ -13,8 +13,9 @@ import numpy as np
 
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import whole_turns
+from ikjax.core.known import as_array, stop_gradient
 from ikjax.ik import descent
-from ikjax.ik.graph import entries_of
+from ikjax.ik.graph import entries_of, jit_with_arm
 from ikjax.ik.refine import asked, checked, from_starts, proposals
 from ikjax.solvers.family import TOLERANCE, reach
 
@@ -84,28 +85,20 @@ def track(
     goals, arm = checked(arm, goals, length, steps)
     if goals.ndim < 3:
         raise ValueError(f"goals must have shape (..., T, 4, 4), got {goals.shape}")
-    q0 = jnp.asarray(q0, goals.dtype)
+    q0 = as_array(q0, goals.dtype)
     batch = goals.shape[:-3]
     if q0.ndim not in (1, len(batch) + 1) or q0.shape[-1] != arm.n:
         raise ValueError(f"q0 must have shape {(*batch, arm.n)}, got {q0.shape}")
     q0 = jnp.broadcast_to(q0, (*batch, arm.n))
     if slack is None:
         slack = SLACK * reach(arm)
-    numbers = jnp.stack([jnp.asarray(x, goals.dtype) for x in (length, leap, slack)])
-    arm, goals, q0, numbers = jax.lax.stop_gradient((arm, goals, q0, numbers))
-    if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((arm, goals, q0))):
-        return _tracked(arm, goals, q0, numbers, steps)
-    known, rest = dataclasses.replace(arm, name="").split()
-    return _compiled(known, [jnp.asarray(x) for x in rest], goals, q0, numbers, steps)
+    numbers = tuple(as_array(x, goals.dtype) for x in (length, leap, slack))
+    arm, goals, q0, numbers = stop_gradient((arm, goals, q0, numbers))
+    return _tracked(arm, goals, q0, *numbers, np.int32(steps))
 
 
-@functools.partial(jax.jit, static_argnums=(0, 5))
-def _compiled(known, rest, goals, q0, numbers, steps: int) -> Path:
-    return _tracked(Arm.join(known, rest), goals, q0, numbers, steps)
-
-
-def _tracked(arm: Arm, goals, q0, numbers, steps: int) -> Path:
-    length, leap, slack = numbers
+@jit_with_arm
+def _tracked(arm: Arm, goals, q0, length, leap, slack, steps) -> Path:
 
     def onward(q, goal):
         at = _next(arm, goal, q, length, leap, slack, steps)
