@@ -22,6 +22,10 @@ from ikjax.core.trig import Scalar
 
 Number = jax.Array | np.ndarray
 
+LADDER, LARGEST_TOLERANCE = (1e-5, 1e-4, 1e-3), 0.02
+"""Tolerances that are tried for an arm of axes in space, the first that gives it a family; official files of
+the AgileX PiPER are off by 1.4e-4, of Doosan's M and A by 2.0e-4, of Kinova's Gen3 by 3.7e-4."""
+
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -135,7 +139,7 @@ class Arm:
         base: str | None = None,
         tip: str | None = None,
         *,
-        tolerance: float = 1e-5,
+        tolerance: float | None = None,
         coupling=None,
         name: str | None = None,
         family: str | None = None,
@@ -150,7 +154,8 @@ class Arm:
         Args:
             source: A path, or the XML itself. Meshes are never opened and nothing is fetched.
             base, tip: Names of links; by default the root, and the one leaf.
-            tolerance: How far axes may be off [rad], and as a share of the arm's size; at most 0.02.
+            tolerance: How far axes may be off [rad], and as a share of the arm's size; at most 0.02. By
+                default the least of 1e-5, 1e-4 and 1e-3 that gives the arm a family.
             coupling, name, family, dtype: As in `from_dh`.
 
         Raises:
@@ -226,10 +231,11 @@ class Arm:
     def split(self, whole: bool = False) -> tuple[tuple, list]:
         """The arm as what a kernel gains by knowing, hashable, and the numbers it need not know.
 
-        Known are the twists and whatever is 0, 1 or -1: arms that agree in those share a compile. With
-        `whole` everything is known but traced leaves. The name is in neither part.
+        Known are the twists, the correction and whatever is 0, 1 or -1: arms that agree in those share a
+        compile. With `whole` everything is known but traced leaves. The name is in neither part.
         """
-        leaves, treedef = jax.tree.flatten(dataclasses.replace(self, name="").baked())
+        arm = dataclasses.replace(self, name="").baked()
+        leaves, treedef = jax.tree.flatten(arm)
         known: list[tuple] = []
         rest: list[Number] = []
         for leaf in leaves:
@@ -237,7 +243,7 @@ class Arm:
                 known.append((leaf.shape, leaf.dtype.name, None, b""))
                 rest.append(leaf)
                 continue
-            keep = np.isin(leaf, (0, 1, -1)) | (leaf is leaves[1]) | whole
+            keep = np.isin(leaf, (0, 1, -1)) | (leaf is arm.alpha) | (leaf is arm.correction) | whole
             known.append((leaf.shape, leaf.dtype.name, keep.tobytes(), leaf[keep].tobytes()))
             rest.append(leaf[~keep])
         return (treedef, tuple(known)), rest
@@ -273,6 +279,9 @@ class Arm:
 def _built(kinds: str, leaves: dict, family: str | None, up: int, name: str, dtype) -> Arm:
     """The arm of finished leaves, its family recognised."""
     verdict = structure.recognise(kinds, leaves, family, up)
+    split = structure.split_exactly(kinds, leaves, verdict)
+    if split is not leaves:
+        leaves, verdict = split, structure.recognise(kinds, split, family, up)
     dtype = jnp.result_type(float) if dtype is None else dtype
     arrays: dict[str, Any] = {
         key: None if value is None else jnp.asarray(value, dtype) for key, value in leaves.items()
@@ -288,12 +297,19 @@ def _built(kinds: str, leaves: dict, family: str | None, up: int, name: str, dty
     )
 
 
-def _nearest(given: Axes, leaves: dict, tolerance: float, family, up: int, name: str, dtype) -> Arm:
-    """The arm of axes in space: as they are where that has the best family, else to the tolerance."""
-    if not 0 <= tolerance <= 0.02:
-        raise ValueError(f"tolerance must be between 0 and 0.02, got {tolerance}")
+def _nearest(given: Axes, leaves: dict, tolerance: float | None, family, up: int, name: str, dtype) -> Arm:
+    """The arm of axes in space, its table exact to the least tolerance that gives it a family.
+
+    Of the exact table and that of the first tolerance the one with the faster family is taken; looser ones
+    are tried where neither has any.
+    """
+    if tolerance is not None and not 0 <= tolerance <= LARGEST_TOLERANCE:
+        raise ValueError(f"tolerance must be between 0 and {LARGEST_TOLERANCE}, got {tolerance}")
+    ladder = LADDER if tolerance is None else (tolerance,)
     best: tuple[int, Rewritten] | None = None
-    for each in (structure.TOLERANCE, max(tolerance, structure.TOLERANCE)):
+    for each in (structure.TOLERANCE, *(max(rung, structure.TOLERANCE) for rung in ladder)):
+        if each > ladder[0] and best is not None and best[0] < len(RULES):
+            break
         table = rewritten(given, each)
         numbers = {**table.columns, "tool": table.tool}
         found = structure.recognise(given.kinds, numbers, None, up).family

@@ -35,27 +35,29 @@ class Rewritten(NamedTuple):
 def rewritten(axes: Axes, tolerance: float) -> Rewritten:
     """A DH table whose axes are parallel, square or meeting where those given are to the tolerance.
 
+    Axes that are parallel but for rounding meet kilometres away; they are made parallel whatever the
+    tolerance, so that the numbers of the table have the arm's own size.
+
     Args:
         axes: What is given.
         tolerance: [rad], and as a share of the arm's size.
     """
     n = len(axes.kinds)
     size = _size(axes)
-    near = tolerance * size
     table = _first(axes)
     exact = table
     given = _on_axis(table, axes.along[0], axes.points[0])
-    base, corrections = table, [_twist(np.linalg.inv(table) @ given)]
+    base, corrections = table, [twist_of(np.linalg.inv(table) @ given)]
     columns = {name: np.zeros(n) for name in ("a", "alpha", "d", "theta")}
     for i in range(n - 1):
-        theta, d, a, alpha = _link(exact, axes, i, tolerance, near)
+        theta, d, a, alpha = _link(exact, axes, i, tolerance, size)
         for name, value in zip(("theta", "d", "a", "alpha"), (theta, d, a, alpha), strict=True):
             columns[name][i] = value
         step = _dh(theta, d, a, alpha)
         exact = exact @ step
         following = _on_axis(exact, axes.along[i + 1], _point(axes, i + 1, exact))
         # given_i Rz(q) step correction = given_i Rz(q) (given_i^-1 following)
-        corrections.append(_twist(np.linalg.inv(step) @ np.linalg.inv(given) @ following))
+        corrections.append(twist_of(np.linalg.inv(step) @ np.linalg.inv(given) @ following))
         given = following
     corrections.append(np.zeros(6))
     tool = np.linalg.inv(given) @ axes.tip
@@ -99,15 +101,21 @@ def _point(axes: Axes, i: int, exact: np.ndarray) -> np.ndarray:
     return axes.points[i] if axes.kinds[i] == "R" else exact[:3, 3]
 
 
-def _link(frame: np.ndarray, axes: Axes, i: int, tolerance: float, near: float):
+FARTHEST, PARALLEL = 4, 0.03
+"""Common normals farther along an axis than so many sizes of the arm are not looked for, where the axes are
+parallel to so much [rad]; a correction can hold 0.05."""
+
+
+def _link(frame: np.ndarray, axes: Axes, i: int, tolerance: float, size: float):
     """theta, d, a, alpha from a frame on axis i to one on axis i + 1."""
-    along = axes.along[i + 1]
+    along, near = axes.along[i + 1], tolerance * size
     origin, z = frame[:3, 3], frame[:3, 2]
     point = axes.points[i + 1] if axes.kinds[i + 1] == "R" else origin
     cross = np.cross(z, along)
     sine, cosine = float(np.linalg.norm(cross)), float(z @ along)
     gap = point - origin
-    if sine <= tolerance:
+    far = abs(float(np.cross(gap, along) @ cross)) > FARTHEST * size * sine**2
+    if sine <= tolerance or (far and sine <= PARALLEL):
         # Parallel: the normal is laid through the frame's own origin, to the next axis where it is near.
         gap = gap - (gap @ along) * along
         normal = gap - (gap @ z) * z
@@ -148,7 +156,19 @@ def _dh(theta: float, d: float, a: float, alpha: float) -> np.ndarray:
     )
 
 
-def _twist(pose: np.ndarray) -> np.ndarray:
+def small_pose(twist: np.ndarray) -> np.ndarray:
+    """(4, 4) of a shift and a rotation vector."""
+    pose, angle = np.eye(4), float(np.linalg.norm(twist[3:]))
+    x, y, z = twist[3:]
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    # sin(t) / t and (1 - cos(t)) / t^2, with their limits at zero.
+    first, second = np.sinc(angle / np.pi), np.sinc(angle / (2 * np.pi)) ** 2 / 2
+    pose[:3, :3] += first * cross + second * cross @ cross
+    pose[:3, 3] = twist[:3]
+    return pose
+
+
+def twist_of(pose: np.ndarray) -> np.ndarray:
     """Shift and rotation vector of a pose near the identity."""
     r = pose[:3, :3]
     axial = np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]) / 2

@@ -9,8 +9,10 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from ikjax.arm.axes import small_pose, twist_of
 from ikjax.arm.facts import Check, Table
-from ikjax.arm.rules import RULES, Judgement
+from ikjax.arm.rules import RULES, Judgement, nearly_split
+from ikjax.core.known import is_traced
 
 TOLERANCE = 1e-10
 """How far [rad, or as a share of the reach] a fact may be off and still hold.
@@ -89,6 +91,29 @@ def evidence(kinds: str, numbers: dict, family: str, tolerance: float) -> tuple[
 def judged(kinds: str, numbers: dict, family: str, tolerance: float) -> Judgement:
     """What a family's rule says of a table, whether its facts hold or not; arguments as in `recognise`."""
     return RULES[family].judge(_table(kinds, numbers, 1, tolerance))
+
+
+def split_exactly(kinds: str, leaves: dict, verdict: Verdict) -> dict:
+    """The leaves, with the number made exact that keeps the family's equation from splitting.
+
+    What is taken from it goes into the correction of its link, so the arm stays the one that was given: a
+    quartic whose roots come in pairs closer than rounding would not tell them apart.
+    """
+    if verdict.family is None or any(is_traced(leaves[key]) for key in ("a", "alpha", "d", "correction")):
+        return leaves
+    near = nearly_split(_table(kinds, leaves, 1, TOLERANCE), verdict.family)
+    if near is None:
+        return leaves
+    name, place, value = near
+    column, off = np.array(leaves[name], float), np.zeros((len(kinds) + 1, 6))
+    if leaves["correction"] is not None:
+        off = np.array(leaves["correction"], float)
+    # Tx(a) Rx(alpha) is the exact link before a small shift along x, or turn about it.
+    rest = np.zeros(6)
+    rest[0 if name == "a" else 3] = column[place] - value
+    off[place + 1] = twist_of(small_pose(rest) @ small_pose(off[place + 1]))
+    column[place] = value
+    return {**leaves, name: column, "correction": off}
 
 
 def _table(kinds: str, numbers: dict, up: int, tolerance: float) -> Table:

@@ -21,7 +21,8 @@ import numpy as np
 from jax.experimental.layout import Layout, with_layout_constraint
 
 from ikjax.arm.arm import Arm
-from ikjax.ik.graph import FIELDS, holder, slots_of
+from ikjax.core.xla import holder
+from ikjax.ik.graph import FIELDS, slots_of
 from ikjax.ik.solutions import Solutions
 
 BLOCK, BLOCKS = 4096, 4

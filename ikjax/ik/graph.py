@@ -22,6 +22,7 @@ import jax.numpy as jnp
 from ikjax.arm.arm import Arm
 from ikjax.core.known import is_traced
 from ikjax.core.pose import Pose
+from ikjax.core.xla import holder, opaque_one
 from ikjax.ik.solutions import Solutions
 from ikjax.solvers import FAMILIES
 from ikjax.solvers.branch import in_bits
@@ -48,22 +49,6 @@ def slots_of(arm: Arm, entries: Entries, q_now, tolerance, *, hold=None, share=N
     now = None if q_now is None else tuple(q_now[..., i] for i in range(arm.n))
     slots = solve_scalars(arm, goal, now, tolerance, hold, share)
     return tuple(slot._replace(valid=slot.valid & proper) for slot in slots)
-
-
-def holder(like: jax.Array):
-    """A function that divides by a one which XLA cannot see through.
-
-    A division is dear enough that XLA keeps its result instead of computing it again; an
-    optimization barrier is gone by the time it decides that.
-    """
-    one = opaque_one(like)
-    # A division by a number that is spread out would become a multiplication, and be done again.
-    return lambda x: x / (one if jnp.ndim(x) <= one.ndim else opaque_one(x))
-
-
-def opaque_one(like: jax.Array) -> jax.Array:
-    """Ones of the shape and type of `like`, which XLA cannot see through."""
-    return jnp.where(like == like, 1, 2).astype(like.dtype)
 
 
 def is_small(arm: Arm) -> bool:

@@ -29,7 +29,8 @@ from ikjax.core import pose as poses
 from ikjax.core import vector
 from ikjax.core.linear import solve_symmetric
 from ikjax.core.trig import Scalar
-from ikjax.ik.graph import entries_of, holder, opaque_one, slots_of
+from ikjax.core.xla import holder, opaque_one
+from ikjax.ik.graph import entries_of, slots_of
 from ikjax.solvers.family import reach
 
 DAMPING = 16

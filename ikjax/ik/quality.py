@@ -24,7 +24,8 @@ from ikjax.core import pose as poses
 from ikjax.core import safe
 from ikjax.core.singular import singular_values, volume
 from ikjax.core.trig import wrap
-from ikjax.ik.graph import jit_with_arm, opaque_one
+from ikjax.core.xla import opaque_one
+from ikjax.ik.graph import jit_with_arm
 from ikjax.solvers.family import reach
 
 

@@ -14,9 +14,10 @@ import numpy as np
 from ikjax.arm.arm import Arm
 from ikjax.core.known import as_array, is_traced, stop_gradient
 from ikjax.core.pose import Pose
+from ikjax.core.xla import holder
 from ikjax.ik import blocks, descent
 from ikjax.ik import priority as priorities
-from ikjax.ik.graph import Entries, entries_of, holder
+from ikjax.ik.graph import Entries, entries_of
 from ikjax.ik.lossy import minimised
 from ikjax.ik.projection import Projection
 from ikjax.ik.solve import as_goals

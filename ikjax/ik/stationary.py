@@ -21,8 +21,8 @@ from ikjax.core import pose as poses
 from ikjax.core import vector
 from ikjax.core.linear import solve_symmetric
 from ikjax.core.pose import Pose
+from ikjax.core.xla import holder
 from ikjax.ik import descent
-from ikjax.ik.graph import holder
 from ikjax.ik.priority import SHARE, wish
 from ikjax.solvers.family import clean, reach
 

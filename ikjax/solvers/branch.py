@@ -24,6 +24,9 @@ class Slide(NamedTuple):
     value: Scalar
 
 
+TINY = 64
+"""Lengths in units of the reach and sines count as zero below so many eps."""
+
 Joints = tuple[Any, ...]
 """An `Angle` for each turning joint, a `Slide` for each sliding one."""
 
@@ -59,6 +62,11 @@ class Setting(NamedTuple):
     """Called on what many outputs share; see `ik.graph`."""
     share: Callable[[Scalar], Scalar] | None
     """Called on what two programs of one kernel must agree on; see `ik.graph`."""
+
+    @property
+    def rounding(self) -> float:
+        """Of the goals' type: eps."""
+        return self.tiny / TINY
 
     def root(self, x: Scalar) -> Scalar:
         """A square root, shared because rounding makes it uncertain near zero."""

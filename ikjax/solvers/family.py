@@ -31,7 +31,7 @@ from ikjax.core import safe, vector
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Angle, Scalar, atan2, canonical, sincos, wrap
 from ikjax.solvers import FAMILIES, Family
-from ikjax.solvers.branch import Branch, Joints, Setting, Slide, placed
+from ikjax.solvers.branch import TINY, Branch, Joints, Setting, Slide, placed
 from ikjax.solvers.polish import Given, polished
 
 TOLERANCE = {"float32": 2e-5, "float64": 1e-9}
@@ -183,7 +183,7 @@ def solve_scalars(
     branches = family.branches(arm.signs, frame.links, tip, setting)
     if frame.between is not None:
         given = Given(frame.links, frame.between, frame.tool)
-        branches, gaps, turns = polished(given, branches, tip, turning, setting)
+        branches, gaps, turns = polished(given, branches, tip, turning, tolerance, setting)
         measured = list(zip(gaps, turns, strict=True))
     else:
         measured = [_mismatch(frame, family, branch) for branch in branches]
@@ -251,7 +251,7 @@ def _set(arm: Arm, goal: Pose, now, hold, share) -> tuple[Frame, Pose, Setting]:
     """The arm, the goal as its family is asked for it, and the rest that a family is handed."""
     dtype = jnp.result_type(goal.position[0])
     frame = prepare(arm)
-    tiny = 64 * float(np.finfo(dtype).eps)
+    tiny = TINY * float(np.finfo(dtype).eps)
     now = coupled(arm, (0.0,) * arm.n if now is None else now)
     fill = tuple(_now(link, value, frame, dtype) for link, value in zip(frame.links, now, strict=True))
     hold = hold or (lambda x: x)

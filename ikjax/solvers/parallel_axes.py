@@ -84,7 +84,7 @@ def branches(signs: tuple, links: tuple[Link, ...], goal: Pose, setting: Setting
     return tuple(slots)
 
 
-def _inner(axes, tip: Pose, goal: Pose, splits: int, along, setting: Setting):
+def _inner(axes, tip: Pose, goal: Pose, splits: str, along, setting: Setting):
     """Axes 2, 3, 4 parallel: A = 1, B = 5, C = 6."""
     one, two, _, _, five, six = axes
     h = two.along
@@ -116,7 +116,7 @@ def _inner(axes, tip: Pose, goal: Pose, splits: int, along, setting: Setting):
     return answers
 
 
-def _last(axes, tip: Pose, goal: Pose, splits: int, along, setting: Setting):
+def _last(axes, tip: Pose, goal: Pose, splits: str, along, setting: Setting):
     """Axes 4, 5, 6 parallel: A = 1, B = 3, C = 2."""
     one, two, three, four, _, six = axes
     h = four.along
@@ -187,12 +187,13 @@ def _turn_to(
     return setting.filled(joint, free, sine * weight, cosine * weight), free
 
 
-def _pairs(equations: tuple[Equation, Equation], splits: int, joints, setting: Setting) -> list[Pair]:
+def _pairs(equations: tuple[Equation, Equation], splits: str, joints, setting: Setting) -> list[Pair]:
     """Joints A and B from their two equations: four pairs."""
     one, two = equations
-    if splits:
-        return _split_pairs(one, two, joints, setting)
-    weight = 1 / (one.c * two.d - one.d * two.c)
+    if splits in ("exactly", "within 1e-5"):
+        return _split_pairs(one, two, splits, joints, setting)
+    determinant = one.c * two.d - one.d * two.c
+    weight = safe.divide(1, determinant)
 
     def solved(u, v):
         return (u * two.d - v * one.d) * weight, (v * one.c - u * two.c) * weight
@@ -219,35 +220,22 @@ def _pairs(equations: tuple[Equation, Equation], splits: int, joints, setting: S
         return value / jnp.maximum(slope, setting.tiny)
 
     pairs = []
-    for root in (found.rising[0], found.falling[0], found.rising[1], found.falling[1]):
+    in_order = (found.rising[0], found.falling[0], found.rising[1], found.falling[1])
+    for root, rise in zip(in_order, (1, -1, 1, -1), strict=True):
         cosine, sine = ec - ac * root.cos - bc * root.sin, es - as_ * root.cos - bs * root.sin
         size = safe.reciprocal_sqrt(cosine * cosine + sine * sine)
         turn = setting.hold(sine * size), setting.hold(jnp.where(size == 0, 1, cosine * size))
-        first, second = _polished(equations, (root.sin, root.cos), turn, root.real, setting)
+        start, real, steps, largest = (root.sin, root.cos), root.real, 1, setting.rounding**0.25
+        if splits == "nearly":
+            turn, real = _side_of_close_pair(equations, start, rise, setting), True
+            steps, largest = 4, 0.3
+        first, second = _polished(equations, start, turn, real, setting, steps, largest)
         pairs.append(Pair(first, second, clearance(harmonics, found, root, length)))
     return pairs
 
 
-def _polished(equations, first: SinCos, second: SinCos, real, setting: Setting) -> tuple[Angle, Angle]:
-    """A Newton step on A and B in their own equations: the quartic squares them, and rounding with them."""
-    rows = []
-    for a, b, c, d, e in equations:
-        gap = e - a * first[1] - b * first[0] - c * second[1] - d * second[0]
-        rows.append((b * first[1] - a * first[0], d * second[1] - c * second[0], gap))
-    (p, q, gap), (r, s, other) = rows
-    weight = safe.divide(1, p * s - q * r)
-    steps = (gap * s - other * q) * weight, (other * p - gap * r) * weight
-    # A larger step is not the correction of a small error: it would lead to another branch.
-    small = real & (jnp.maximum(*map(abs, steps)) < float(jnp.finfo(steps[0].dtype).eps) ** 0.25)
-    moved = (
-        nudged(*joint, jnp.where(small, step, 0)) for joint, step in zip((first, second), steps, strict=True)
-    )
-    a, b = (setting.angle(*joint) for joint in moved)
-    return a, b
-
-
-def _split_pairs(one: Equation, two: Equation, joints, setting: Setting) -> list[Pair]:
-    """Where B's coefficients are proportional: the combination without B, and the one with most of it."""
+def _separated(one: Equation, two: Equation) -> tuple[Equation, Equation]:
+    """The two combinations of unit weights with least and with most of joint B."""
     size_one, size_two = one.c * one.c + one.d * one.d, two.c * two.c + two.d * two.d
     both = one.c * two.c + one.d * two.d
     weight = safe.reciprocal_sqrt(size_one * size_one + both * both)
@@ -255,15 +243,85 @@ def _split_pairs(one: Equation, two: Equation, joints, setting: Setting) -> list
     # (p, q) is along the ratio of the two, from the larger.
     p = jnp.where(size_one >= size_two, size_one * weight, both * other)
     q = jnp.where(size_one >= size_two, both * weight, size_two * other)
-    alone = [v * p - u * q for u, v in zip(one, two, strict=True)]
-    with_b = [u * p + v * q for u, v in zip(one, two, strict=True)]
+    alone = Equation(*(v * p - u * q for u, v in zip(one, two, strict=True)))
+    with_b = Equation(*(u * p + v * q for u, v in zip(one, two, strict=True)))
+    return alone, with_b
+
+
+def _side_of_close_pair(equations, first: SinCos, rise: int, setting: Setting) -> SinCos:
+    """Joint B at a root for A of equations that all but split.
+
+    What is left of B in `alone` is a small factor times B's height, so the roots for A come in close pairs,
+    one with either sign of the height; where rounding hides it, it is told by which of the two rises.
+    """
+    alone, with_b = _separated(*equations)
+    sine, cosine = first
+    value = alone.e - alone.a * cosine - alone.b * sine
+    slope = alone.a * sine - alone.b * cosine
+    factor = with_b.c * alone.d - with_b.d * alone.c
+    noise = 4 * setting.rounding**0.5
+    told = jnp.where(abs(value) > noise, safe.sign(value), rise * safe.sign(slope)) * safe.sign(-factor)
+    rest = with_b.e - with_b.a * cosine - with_b.b * sine
+    root = cosine_sine(with_b.c, with_b.d, rest, told, noise=setting.noise, root=setting.root)
+    return setting.hold(root.sin), setting.hold(root.cos)
+
+
+def _polished(
+    equations, first: SinCos, second: SinCos, real, setting: Setting, steps: int, largest: float
+) -> tuple[Angle, Angle]:
+    """Newton steps on A and B in their own equations: the quartic squares them, and rounding with them.
+
+    Args:
+        equations: The two.
+        first, second: A and B.
+        real: Whether there is a root to go to.
+        setting: What holds values.
+        steps: How many.
+        largest: The largest that is believed [rad]: a larger one is not the correction of a small error, and
+            would lead to another branch.
+    """
+    for _ in range(steps):
+        rows = []
+        for a, b, c, d, e in equations:
+            gap = e - a * first[1] - b * first[0] - c * second[1] - d * second[0]
+            rows.append((b * first[1] - a * first[0], d * second[1] - c * second[0], gap))
+        (p, q, gap), (r, s, other) = rows
+        weight = safe.divide(1, p * s - q * r)
+        moves = (gap * s - other * q) * weight, (other * p - gap * r) * weight
+        small = real & (jnp.maximum(*map(abs, moves)) < largest)
+        moved = [
+            nudged(*joint, jnp.where(small, move, 0))
+            for joint, move in zip((first, second), moves, strict=True)
+        ]
+        first, second = (tuple(map(setting.hold, joint)) for joint in moved)
+    a, b = (setting.angle(*joint) for joint in (first, second))
+    return a, b
+
+
+STEPS = 8
+"""From equations that split to those that do so within 1e-5: beside a fold a step only halves the error, and
+1e-5 counts there by its square root."""
+
+
+def _split_pairs(one: Equation, two: Equation, splits: str, joints, setting: Setting) -> list[Pair]:
+    """Where B's coefficients are proportional: the combination without B, and the one with most of it."""
+    alone, with_b = _separated(one, two)
+    noise = setting.noise
+    if splits != "exactly":
+        # So that the true root lies between the two starts.
+        noise = noise + abs(alone.c) + abs(alone.d)
     pairs = []
     for side in (1, -1):
-        root = cosine_sine(alone[0], alone[1], alone[4], side, noise=setting.noise, root=setting.root)
+        root = cosine_sine(alone.a, alone.b, alone.e, side, noise=noise, root=setting.root)
         first = setting.filled(joints[0], root.free, root.sin, root.cos)
-        rest = with_b[4] - with_b[0] * first.cos - with_b[1] * first.sin
+        rest = with_b.e - with_b.a * first.cos - with_b.b * first.sin
         for side_b in (1, -1):
-            deep = cosine_sine(with_b[2], with_b[3], rest, side_b, noise=setting.noise, root=setting.root)
+            deep = cosine_sine(with_b.c, with_b.d, rest, side_b, noise=noise, root=setting.root)
             second = setting.filled(joints[1], deep.free, deep.sin, deep.cos)
-            pairs.append(Pair(first, second, jnp.minimum(root.margin, deep.margin), root.free | deep.free))
+            pair = Pair(first, second, jnp.minimum(root.margin, deep.margin), root.free | deep.free)
+            if splits != "exactly":
+                ends = (first.sin, first.cos), (second.sin, second.cos)
+                turns = _polished((one, two), *ends, ~pair.free, setting, STEPS, 0.3)
+                pair = pair._replace(first=turns[0], second=turns[1])
+            pairs.append(pair)
     return pairs

@@ -46,6 +46,15 @@ class Poly(NamedTuple):
         high = plus(times(times(self.uu, u), u), times(times(self.uv, u), v))
         return plus(plus(low, high), times(times(self.vv, v), v))
 
+    def rate_at(self, u: Scalar, v: Scalar, turning: bool) -> Scalar:
+        """The derivative with respect to joint 3."""
+        if not turning:
+            return plus(self.u, times(2.0, times(self.uu, u)))
+        # dU = -V and dV = U
+        low = plus(times(self.v, u), times(-1.0, times(self.u, v)))
+        mixed = times(self.uv, u * u - v * v)
+        return plus(plus(low, mixed), times(2.0, times(plus(self.vv, times(-1.0, self.uu)), u * v)))
+
     def at_half_angle(self, sine: Scalar, cosine: Scalar) -> Scalar:
         """In a slide of tan(t / 2), times cos(t / 2)^2."""
         return (self.one * (1 + cosine) + self.u * sine + self.uu * (1 - cosine)) / 2

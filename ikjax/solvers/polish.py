@@ -6,6 +6,8 @@ Source: damped least squares; Wampler (1986), Nakamura and Hanafusa (1986).
 """
 
 import functools
+import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -18,10 +20,11 @@ from ikjax.core.linear import solve_symmetric
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Angle, Scalar
 from ikjax.core.vector import Vector
+from ikjax.core.xla import pinned
 from ikjax.solvers.branch import Branch, Joints, Setting, Slide, moved_on, placed
 
 STEPS = 8
-"""Three bring an arm that is off by a hundredth to 1e-4, 1e-8, 1e-16; more are for goals near a fold."""
+"""At most so many: beside a fold a step only halves the error."""
 
 LARGEST_STEP = 0.3
 """The largest move of a joint in one step [rad, or reaches]."""
@@ -37,8 +40,28 @@ class Given(NamedTuple):
     """The tool point seen from the last frame."""
 
 
+def stages_and_steps(off: Scalar, tolerance: float) -> tuple[int, int]:
+    """How many stages of how many Newton steps bring an arm that is off by so much within a tolerance.
+
+    Away from folds each step squares the error, so that two are enough for a thousandth. Beside a fold the
+    start is off by the square root of what the arm is off by, each step halves that, and the pose's error goes with
+    its square. The second stage parts two slots that went to one answer.
+    """
+    if not isinstance(off, float):
+        return 2, STEPS
+    ratio = 32 * off / tolerance
+    if ratio <= 0.1:
+        return 1, 1
+    return 2, min(STEPS, 2 + math.ceil(max(0, math.log2(ratio)) / 2))
+
+
 def polished(
-    given: Given, slots: tuple[Branch, ...], goal: Pose, turning: bool, setting: Setting
+    given: Given,
+    slots: tuple[Branch, ...],
+    goal: Pose,
+    turning: bool,
+    tolerance: float,
+    setting: Setting,
 ) -> tuple[tuple[Branch, ...], list[Scalar], list[Scalar]]:
     """The slots after their steps, and how far each is from the goal.
 
@@ -48,6 +71,7 @@ def polished(
         goal: Pose of the last frame, seen from frame 0; where the task leaves the orientation open, the tool
             point on a frame of zeros.
         turning: Whether the task asks for an orientation.
+        tolerance: Of a valid pose.
         setting: What counts as zero.
 
     Returns:
@@ -60,19 +84,21 @@ def polished(
     def step(_, joints: Joints) -> Joints:
         return _step(given, joints, goal, turning, setting)
 
+    stages, steps = stages_and_steps(setting.off, tolerance)
+
     def stage(_, joints: Joints) -> Joints:
         # Two answers near a fold lie on both sides of it: who came to another's answer tries the other side.
         twin, _ = _claimed(start, joints)
         joints = _where(twin, tuple(map(_mirrored, start, joints)), joints)
-        return jax.lax.fori_loop(0, STEPS, step, joints)
+        return jax.lax.fori_loop(0, steps, step, joints)
 
-    joints = jax.lax.fori_loop(0, 2, stage, start)
+    joints = step(0, start) if (stages, steps) == (1, 1) else jax.lax.fori_loop(0, stages, stage, start)
     # Slots that meet at a fold keep their answer both. From farther off it is another's: near a fold an
     # error counts by its square root.
     claimed, moved = _claimed(start, joints)
     short = float(jnp.finfo(moved.dtype).eps) ** 0.25 + 4 * safe.sqrt(32 * setting.off)
     joints = _where(claimed & (moved > short), start, joints)
-    reached, _ = _walk(given, joints)
+    reached, _ = _walk(given, joints, pinned(jax.tree.leaves(joints)[0]))
     slip = tuple(map(vector.subtract, reached.rotation, goal.rotation))
     gap = _gap(given, reached, goal, slip)
     gap_squared, turn_squared = vector.dot(gap, gap), sum(vector.dot(row, row) for row in slip)
@@ -140,14 +166,14 @@ def _lifted(part):
     return jnp.asarray(part)[None]
 
 
-def _walk(given: Given, joints: Joints) -> tuple[Pose, list[Pose]]:
+def _walk(given: Given, joints: Joints, pin: Callable[[Scalar], Scalar]) -> tuple[Pose, list[Pose]]:
     """The last frame, and the frame before each joint."""
     frame, before = poses.IDENTITY, []
     for i, (link, joint) in enumerate(zip(given.links, joints, strict=True)):
         before.append(frame)
-        frame = advance(frame, link, placed(link, joint))
+        frame = jax.tree.map(pin, advance(frame, link, placed(link, joint)))
         if given.between is not None and i < len(given.between):
-            frame = poses.compose(frame, given.between[i])
+            frame = jax.tree.map(pin, poses.compose(frame, given.between[i]))
     return frame, before
 
 
@@ -157,15 +183,17 @@ def _gap(given: Given, reached: Pose, goal: Pose, slip) -> Vector:
 
 def _step(given: Given, joints: Joints, goal: Pose, turning: bool, setting: Setting) -> Joints:
     """One damped step on all joints."""
-    reached, before = _walk(given, joints)
+    pin = pinned(jax.tree.leaves(joints)[0])
+    reached, before = _walk(given, joints, pin)
     slip = tuple(map(vector.subtract, reached.rotation, goal.rotation))
-    gap = _gap(given, reached, goal, slip)
+    gap = tuple(map(pin, _gap(given, reached, goal, slip)))
     tip = vector.add(reached.position, vector.rotate(reached.rotation, given.tool))
+    tip = tuple(map(pin, tip))
     # Half the sum of the columns' cross products is the sine of the turn that is left, along its axis.
     columns = zip(vector.transpose(reached.rotation), vector.transpose(goal.rotation), strict=True)
     turns = [vector.cross(mine, wanted) for mine, wanted in columns]
     turn = vector.scale(0.5, vector.add(vector.add(turns[0], turns[1]), turns[2]))
-    wanted = (*vector.scale(-1, gap), *turn)
+    wanted = (*vector.scale(-1, gap), *map(pin, turn))
     rows = 6 if turning else 3
     motions = []
     for joint, frame in zip(joints, before, strict=True):
@@ -173,19 +201,19 @@ def _step(given: Given, joints: Joints, goal: Pose, turning: bool, setting: Sett
         if isinstance(joint, Slide):
             motions.append((*axis, 0.0, 0.0, 0.0))
         else:
-            motions.append((*vector.cross(axis, vector.subtract(tip, frame.position)), *axis))
+            arm = vector.cross(axis, vector.subtract(tip, frame.position))
+            motions.append((*map(pin, arm), *axis))
     motions = [m[:rows] for m in motions]
     wanted = wanted[:rows]
     count = len(joints)
-    matrix = [[_dot(motions[i], motions[j]) for j in range(count)] for i in range(count)]
+    matrix = [[pin(_dot(motions[i], motions[j])) for j in range(i + 1)] for i in range(count)]
     for i in range(count):
         matrix[i][i] = matrix[i][i] + setting.tiny / 4
-    steps = solve_symmetric(matrix, [_dot(m, wanted) for m in motions])
-    size = abs(steps[0])
-    for step in steps[1:]:
-        size = jnp.maximum(size, abs(step))
-    shrink = jnp.where(size > LARGEST_STEP, LARGEST_STEP / jnp.maximum(size, LARGEST_STEP), 1)
-    return tuple(_rounded(moved_on(joint, step * shrink)) for joint, step in zip(joints, steps, strict=True))
+    steps = solve_symmetric(matrix, [pin(_dot(m, wanted)) for m in motions], pin)
+    size = functools.reduce(jnp.maximum, map(abs, steps))
+    shrink = pin(LARGEST_STEP / jnp.maximum(size, LARGEST_STEP))
+    moved = (_rounded(moved_on(joint, step * shrink)) for joint, step in zip(joints, steps, strict=True))
+    return tuple(jax.tree.map(pin, joint) for joint in moved)
 
 
 def _rounded(joint: Angle | Slide) -> Angle | Slide:
@@ -197,4 +225,4 @@ def _rounded(joint: Angle | Slide) -> Angle | Slide:
 
 
 def _dot(u, v) -> Scalar:
-    return sum(a * b for a, b in zip(u, v, strict=True))
+    return functools.reduce(vector.plus, map(vector.times, u, v))

@@ -35,6 +35,7 @@ from ikjax.core.vector import Vector, plus, times
 from ikjax.solvers.branch import Joints, Setting, Slide, moved_on, placed
 from ikjax.solvers.point_chain import Chain, Poly, chain_of
 from ikjax.solvers.third_joint import (
+    Third,
     circle_roots,
     half_angle_harmonics,
     harmonics_of,
@@ -63,26 +64,36 @@ def regional(
         point: Fixed in frame 3 without joint 3's own turn and slide.
         wanted: Where it has to be, seen from frame 0.
         how: How the equation for joint 3 splits, see `arm.rules`: "" where it does not, "meet" where axes
-            1 and 2 do, "parallel", "square" where one turns squarely to a slide, "slides".
+            1 and 2 do, "parallel", "square" where one turns squarely to a slide, "slides"; "nearly meet" and
+            the like where it all but does.
         setting: Fills what is arbitrary.
     """
     chain = chain_of(links, point)
     eliminate = {"RR": _two_turns, "RP": _turn_slide, "PR": _slide_turn, "PP": _two_slides}
     ways = eliminate[chain.kinds[:2]](chain, wanted, how, setting)
-    return tuple(_polished(chain, point, wanted, way, setting) for way in ways)
+    nearly = how.startswith("nearly")
+    return tuple(_polished(chain, point, wanted, way, nearly, setting) for way in ways)
 
 
-def _polished(chain: Chain, point: Vector, wanted: Vector, way: Regional, setting: Setting) -> Regional:
-    """A Newton step on the joints themselves: the elimination squares lengths, and rounding with them."""
-    steps = _newton(chain.links, way.joints, point, wanted)
-    size = functools.reduce(jnp.maximum, (abs(step) for step in steps))
-    # A larger step is not the correction of a small error: it would lead to another branch.
-    eps = float(jnp.finfo(size.dtype).eps)
-    small = (size < eps**0.25) & (way.margin > -(eps**0.5))
-    steps = tuple(setting.hold(jnp.where(small, step, 0)) for step in steps)
-    joints = tuple(map(moved_on, way.joints, steps))
-    held = tuple(j if isinstance(j, Slide) else setting.angle(j.sin, j.cos) for j in joints)
-    return way._replace(joints=held)
+def _polished(
+    chain: Chain, point: Vector, wanted: Vector, way: Regional, nearly: bool, setting: Setting
+) -> Regional:
+    """A Newton step on the joints themselves: the elimination squares lengths, and rounding with them.
+
+    Close pairs of roots, of an equation that nearly splits, lose twice as many digits: they take four steps.
+    """
+    joints = way.joints
+    for _ in range(4 if nearly else 1):
+        steps = _newton(chain.links, joints, point, wanted)
+        size = functools.reduce(jnp.maximum, (abs(step) for step in steps))
+        # A larger step is not the correction of a small error: it would lead to another branch.
+        small = size < (0.3 if nearly else setting.rounding**0.25)
+        if not nearly:
+            small &= way.margin > -(setting.rounding**0.5)
+        steps = tuple(setting.hold(jnp.where(small, step, 0)) for step in steps)
+        moved_joints = map(moved_on, joints, steps)
+        joints = tuple(j if isinstance(j, Slide) else setting.angle(j.sin, j.cos) for j in moved_joints)
+    return way._replace(joints=joints)
 
 
 def _newton(links: tuple[Link, ...], joints: Joints, point: Vector, wanted: Vector) -> tuple[Scalar, ...]:
@@ -127,7 +138,7 @@ def _two_turns(chain: Chain, wanted: Vector, how: str, setting: Setting):
     ahead = Poly(plus(span_squared, -times(one.a, one.a))).less(chain.h_squared)
     up = Poly(z).less(chain.h[2].times(c))
     answers = []
-    if how == "":
+    if how in ("", "nearly meet", "nearly parallel"):
         thirds = _quartic_of_two_turns(chain, ahead, up, (x, y, z), setting)
     elif how == "meet":
         thirds = roots(chain, ahead, setting, safe.sqrt(span_squared))
@@ -135,9 +146,14 @@ def _two_turns(chain: Chain, wanted: Vector, how: str, setting: Setting):
         thirds = roots(chain, up, setting)
     for third in thirds:
         h1, h2, h3 = (setting.hold(p.at(third.u, third.v)) for p in chain.h)
-        if how == "":
+        if how in ("", "nearly meet", "nearly parallel"):
+            size = h1 * h1 + h2 * h2
             g1 = safe.divide(ahead.at(third.u, third.v), 2 * one.a)
             g2 = safe.divide(up.at(third.u, third.v), s)
+            if how == "nearly meet":
+                g1 = _side(ahead, third, chain, one.a, setting) * safe.sqrt(size - g2 * g2)
+            if how == "nearly parallel":
+                g2 = _side(up, third, chain, s, setting) * safe.sqrt(size - g1 * g1)
             second, free = setting.between(1, (h1, h2), (g1, g2))
             seconds = [(second, jnp.inf, free)]
         elif how == "meet":
@@ -159,6 +175,20 @@ def _two_turns(chain: Chain, wanted: Vector, how: str, setting: Setting):
             joints = (first, second, third.joint)
             answers.append(Regional(joints, jnp.minimum(third.margin, margin), third.free | free | lost))
     return tuple(answers)
+
+
+def _side(p: Poly, third: Third, chain: Chain, factor: Scalar, setting: Setting) -> Scalar:
+    """The sign of p / factor at a root, where `factor` is so small that p is next to zero there.
+
+    The equation that was solved is p^2 less a square times factor^2, so the roots come in close pairs, one of
+    each sign; where rounding hides it, it is told by which of the two rises.
+    """
+    value = p.at(third.u, third.v)
+    slope = p.rate_at(third.u, third.v, chain.kinds[2] == "R")
+    told = third.rise * safe.sign(slope)
+    # Of a value of size one, half the digits are lost at a double root.
+    noise = 4 * setting.rounding**0.5
+    return jnp.where(abs(value) > noise, safe.sign(value), told) * safe.sign(factor)
 
 
 def _quartic_of_two_turns(chain: Chain, ahead: Poly, up: Poly, wanted: Vector, setting: Setting):
@@ -211,15 +241,19 @@ def _turn_slide(chain: Chain, wanted: Vector, how: str, setting: Setting):
                 margin = jnp.minimum(third.margin, safe.sqrt(around) - abs(ahead.at(third.u, third.v)))
                 answers.append((third, g3, margin))
     else:
-        aside = g2.less(Poly(times(s, z))).times(1 / c)
+        aside = g2.less(Poly(times(s, z))).times(safe.divide(1, c))
         square = ahead.square().plus(aside.square()).less(Poly(around))
 
         def slope(u, v):
-            slant = aside.at(u, v) * s / c
+            slant = safe.divide(aside.at(u, v) * s, c)
             return 2 * safe.sqrt(around + slant * slant)
 
         for third in second_degree(chain, square, setting, slope):
-            g3 = (z - s * g2.at(third.u, third.v)) / c
+            g3 = safe.divide(z - s * g2.at(third.u, third.v), c)
+            if how == "nearly square":
+                gap = around - ahead.at(third.u, third.v) ** 2
+                side = _side(g2.less(Poly(times(s, z))), third, chain, c, setting)
+                g3 = (c * g2.at(third.u, third.v) - side * safe.sqrt(gap)) / s
             answers.append((third, g3, third.margin))
     ways = []
     for third, g3, margin in answers:
@@ -241,11 +275,12 @@ def _slide_turn(chain: Chain, wanted: Vector, how: str, setting: Setting):
     if how == "square":
         thirds = roots(chain, Poly(y).plus(h3.times(s)), setting)
     else:
-        g2 = Poly(y).plus(h3.times(s)).times(1 / c)
+        across = Poly(y).plus(h3.times(s))
+        g2 = across.times(safe.divide(1, c))
         square = g2.square().plus(Poly(g1 * g1)).less(chain.across_squared)
 
         def slope(u, v):
-            slant = g2.at(u, v) / c
+            slant = safe.divide(g2.at(u, v), c)
             return 2 * safe.sqrt(g1 * g1 + slant * slant)
 
         thirds = second_degree(chain, square, setting, slope)
@@ -255,6 +290,9 @@ def _slide_turn(chain: Chain, wanted: Vector, how: str, setting: Setting):
             seconds = _turns(at[0], -at[1], g1, setting)
         else:
             other = g2.at(third.u, third.v)
+            if how == "nearly square":
+                gap = at[0] * at[0] + at[1] * at[1] - g1 * g1
+                other = _side(across, third, chain, c, setting) * safe.sqrt(gap)
             second, free = setting.between(1, (at[0], at[1]), (g1, other))
             seconds = [(second, jnp.inf, free)]
         for second, margin, free in seconds:

@@ -30,6 +30,8 @@ class Third(NamedTuple):
     margin: Scalar
     free: Scalar = False
     """It is arbitrary."""
+    rise: int = 0
+    """1 where its equation rises there, -1 where it falls; 0 where nobody asks."""
 
 
 Slope = Callable[[Scalar, Scalar], Scalar]
@@ -82,7 +84,7 @@ def _slides(p: Poly, setting: Setting, length: Callable[[Scalar, Scalar], Scalar
     gap = middle * middle - p.one / p.uu
     for side in (1, -1):
         q = setting.hold(middle + safe.sign(p.uu) * side * setting.root(gap))
-        thirds.append(Third(Slide(q), q, 0.0, length(abs(p.uu) * gap, middle)))
+        thirds.append(Third(Slide(q), q, 0.0, length(abs(p.uu) * gap, middle), rise=side))
     return thirds
 
 
@@ -135,16 +137,17 @@ def circle_roots(
     def length(value: Scalar, sine: Scalar, cosine: Scalar) -> Scalar:
         return value / jnp.maximum(weight * slope(sine, cosine), setting.tiny)
 
-    for root in (found.rising[0], found.falling[0], found.rising[1], found.falling[1]):
+    in_order = (found.rising[0], found.falling[0], found.rising[1], found.falling[1])
+    for root, rise in zip(in_order, (1, -1, 1, -1), strict=True):
         sine, cosine = root.sin, root.cos
         margin = clearance(harmonics, found, root, length)
         if chain.kinds[2] == "P":
             # tan(t / 2), from the form that does not cancel.
             q = jnp.where(cosine > 0, safe.divide(sine, 1 + cosine), safe.divide(1 - cosine, sine))
-            thirds.append(Third(Slide(q), q, 0.0, margin))
+            thirds.append(Third(Slide(q), q, 0.0, margin, rise=rise))
             continue
         turn = setting.angle(sine, cosine)
-        thirds.append(Third(turn, turn.cos, turn.sin, margin))
+        thirds.append(Third(turn, turn.cos, turn.sin, margin, rise=rise))
     return thirds
 
 

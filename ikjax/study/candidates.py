@@ -16,8 +16,9 @@ import numpy as np
 
 from ikjax.arm.arm import Arm
 from ikjax.core.pose import Pose
+from ikjax.core.xla import holder
 from ikjax.ik.blocks import wide_vectors
-from ikjax.ik.graph import holder, is_small
+from ikjax.ik.graph import is_small
 from ikjax.solvers.family import clean, reach, solve_scalars
 from ikjax.study.climb import Known
 from ikjax.study.goal import Goal

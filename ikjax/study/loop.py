@@ -14,7 +14,7 @@ import numpy as np
 from ikjax.arm.arm import Arm
 from ikjax.core import vector
 from ikjax.core.pose import Pose
-from ikjax.ik.graph import holder
+from ikjax.core.xla import holder
 from ikjax.solvers.family import solve_scalars
 from ikjax.study.goal import Goal
 from ikjax.study.surface import Surface
