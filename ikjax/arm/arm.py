@@ -114,7 +114,7 @@ class Arm:
         columns = {name: dh.row(name, column, n) for name, column in columns.items()}
         base = dh.check_pose("base", np.eye(4) if base is None else base)
         tool = dh.check_pose("tool", np.eye(4) if tool is None else tool)
-        limits, coupling = dh.check_limits(limits, n), dh.check_coupling(coupling, n)
+        limits, coupling = dh.check_limits(limits, kinds), dh.check_coupling(coupling, n)
         columns, base, up = dh.to_standard(convention, columns, base)
         leaves = {**columns, "base": base, "tool": tool, "limits": limits, "coupling": coupling}
         leaves["correction"] = dh.check_correction(correction, n)
@@ -166,7 +166,7 @@ class Arm:
             points.append(frame[:3, 3])
         kinds = "".join(joint.kind for joint in chain.joints)
         given = Axes(kinds, np.array(along), np.array(points), frame @ chain.tool)
-        limits = dh.check_limits([(joint.lower, joint.upper) for joint in chain.joints], n)
+        limits = dh.check_limits([(joint.lower, joint.upper) for joint in chain.joints], kinds)
         leaves = {"limits": limits, "coupling": dh.check_coupling(coupling, n), "base": np.eye(4)}
         up = -1 if given.along[0][2] < -1e-9 else 1
         return _nearest(given, leaves, tolerance, family, up, name or chain.name, dtype)

@@ -1,4 +1,4 @@
-"""Warnings that point at the caller's line, and the one about degrees.
+"""Warnings at the caller's line: of arguments that are probably in degrees or millimetres.
 
 Storey: core. Host side: values that are traced are not looked at.
 """
@@ -13,6 +13,15 @@ import numpy as np
 MOST_LOOKED_AT = 100_000
 """Of a long array so many numbers, because a wrong unit is wrong everywhere."""
 
+MOST_TURNS = 4
+"""Joints that stand further are taken for degrees."""
+
+LONGEST_LINK = 30
+"""[m] Longer ones are taken for millimetres."""
+
+UNIT_MISTAKE = 1e5
+"""What is so large is in no unit of its kind: it stands for no limit, or tests a range of numbers."""
+
 
 def warn(text: str) -> None:
     """A UserWarning at the nearest line outside this package."""
@@ -22,21 +31,32 @@ def warn(text: str) -> None:
     warnings.warn(text, stacklevel=level)
 
 
-def warn_of_degrees(name: str, angles, turns: float = 1, most: float = math.inf) -> None:
-    """One warning where an angle [rad] is beyond so many turns, as numbers of degrees are.
+def warn_of_degrees(name: str, angles, turns: float = 1, kinds: str = "") -> None:
+    """One warning where an angle [rad] is beyond so many turns, as degrees are.
 
-    Args:
-        name: The argument.
-        angles: Of any shape; infinite ones are no angles.
-        turns: What is still taken for radians.
-        most: [rad] What is beyond stands for no limit, not for degrees.
+    Of values (..., n) with the kinds of n joints, "R" or "P" each, only the turning ones are looked at.
     """
-    if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(angles)):
-        return
-    if isinstance(angles, jax.Array):
-        angles = angles.reshape(-1)[:MOST_LOOKED_AT]
-    sizes = np.abs(np.asarray(angles, float)).reshape(-1)[:MOST_LOOKED_AT]
-    suspect = np.isfinite(sizes) & (sizes > turns * 2 * math.pi * (1 + 1e-6)) & (sizes < most)
-    if suspect.any():
-        first = sizes[suspect][0]
-        warn(f"{name} holds {first:.4g} rad, which is {first / (2 * math.pi):.3g} turns: degrees?")
+    turning = [kind == "R" for kind in kinds] if kinds else [True]
+    found = _beyond(angles, turns * 2 * math.pi, turning)
+    if found is not None:
+        warn(f"{name} holds {found:.4g} rad, which is {found / (2 * math.pi):.3g} turns: degrees?")
+
+
+def warn_of_millimetres(name: str, lengths) -> None:
+    """One warning where a length [m] is longer than links are."""
+    found = _beyond(lengths, LONGEST_LINK, [True])
+    if found is not None:
+        warn(f"{name} holds {found:.4g} m: millimetres?")
+
+
+def _beyond(values, most: float, columns: list[bool]) -> float | None:
+    """The size of the first number of some columns that is too large, and that another unit explains."""
+    if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(values)):
+        return None
+    array = values if isinstance(values, jax.Array) else np.asarray(values, float)
+    with jax.ensure_compile_time_eval():  # what a jit captures has a value, what is cut from it has none
+        rows = array.reshape(-1, len(columns))[: MOST_LOOKED_AT // len(columns)]
+    sizes = np.abs(np.asarray(rows, float))[:, columns]
+    # Files round a turn up.
+    sizes = sizes[(sizes > most * (1 + 1e-6) + 1e-3) & (sizes < UNIT_MISTAKE)]
+    return float(sizes[0]) if len(sizes) else None

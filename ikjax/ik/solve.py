@@ -15,6 +15,7 @@ import numpy as np
 
 from ikjax.arm import structure
 from ikjax.arm.arm import Arm
+from ikjax.core.warn import MOST_TURNS, warn_of_degrees
 from ikjax.ik import blocks
 from ikjax.ik.graph import solve_here
 from ikjax.ik.implicit import with_slopes
@@ -31,7 +32,8 @@ def solve(
         goals: T_world_tool, (..., 4, 4), float32 or float64; the answer has its type. A goal that is
             not finite, or whose rotation is off by more than 1e-5, is masked; its neighbours are not
             touched.
-        q_now: (..., n) joint values that a joint follows where it is arbitrary; zero by default.
+        q_now: (..., n) joint values that a joint follows where it is arbitrary; zero by default. Where a
+            turning one is beyond four turns, a warning asks whether these are degrees.
         tolerance: How far a valid pose may be from its goal, [rad] and as a share of
             (reach + |p|); 1e-9 in float64 and 2e-5 in float32 by default.
         damping: Of slopes near singularities, as a singular value of the Jacobian in reaches: where the
@@ -54,6 +56,7 @@ def solve(
         q_now = jnp.asarray(q_now, goals.dtype)
         if q_now.ndim == 0 or q_now.shape[-1] != arm.n:
             raise ValueError(f"q_now must have shape (..., {arm.n}), got {q_now.shape}")
+        warn_of_degrees("q_now", q_now, MOST_TURNS, arm.kinds)
         try:
             q_now = jnp.broadcast_to(q_now, (*batch, arm.n))
         except ValueError as error:

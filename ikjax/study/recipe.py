@@ -167,7 +167,7 @@ def _limited(arm: Arm, limits) -> Arm:
         limits = np.tile([-np.inf, np.inf], (arm.n, 1))
     else:
         limits = _numbers("limits", limits, (arm.n, 2))
-    return dataclasses.replace(arm, limits=dh.check_limits(limits, arm.n))
+    return dataclasses.replace(arm, limits=dh.check_limits(limits, arm.kinds))
 
 
 def _orientations(said) -> Any:
