@@ -10,7 +10,8 @@ from ikjax.arm import structure
 from ikjax.arm.arm import Arm
 from ikjax.core.pose import NEAREST_WITHIN
 from ikjax.core.warn import warn
-from ikjax.ik.solve import as_goals, what_was_found
+from ikjax.ik.refusal import refusal, what_was_found
+from ikjax.ik.solve import as_goals
 from ikjax.solvers import FAMILIES
 from ikjax.solvers.family import ROTATION_TOLERANCE, reach
 
@@ -93,7 +94,7 @@ _SCATTERED = f"project starts from 64 fixed joints spread over the limits: {_BOT
 def explain(arm: Arm) -> str:
     """Which closed form solves the arm, why, and what its branches are, as text to print."""
     if arm.family is None:
-        return f"{arm.name} has no closed form here.\n{what_was_found(arm)}\n{_SCATTERED}"
+        return f"{refusal(arm)}.\n{what_was_found(arm)}\n{_SCATTERED}"
     rule = structure.RULES[arm.family]
     lines = [f"{arm.name} is solved by {arm.family}: {rule.summary}.", "Because:"]
     numbers = {key: np.asarray(getattr(arm, key)) for key in ("a", "alpha", "d", "theta", "tool")}

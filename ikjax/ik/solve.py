@@ -13,12 +13,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ikjax.arm import structure
 from ikjax.arm.arm import Arm
 from ikjax.core.warn import MOST_TURNS, warn_of_degrees
 from ikjax.ik import blocks
 from ikjax.ik.graph import solve_here
 from ikjax.ik.implicit import with_slopes
+from ikjax.ik.refusal import refusal
 from ikjax.ik.solutions import Solutions
 
 
@@ -91,24 +91,7 @@ def check_family(arm: Arm) -> None:
     """Raise unless a closed form is known for the arm."""
     if arm.family is not None:
         return
-    raise ValueError(f"{arm.name} has no closed form here. {what_was_found(arm)}")
-
-
-def what_was_found(arm: Arm) -> str:
-    """The arm's axes in words, and what keeps it out of every family."""
-    if isinstance(arm.alpha, jax.core.Tracer):
-        return "Families: " + ", ".join(structure.RULES)
-    numbers = {key: np.asarray(getattr(arm, key)) for key in ("a", "alpha", "d", "theta", "tool")}
-    tolerance = structure.tolerance_of(arm.dtype)
-    verdict = structure.recognise(arm.kinds, numbers, tolerance=tolerance)
-    axes = structure.found(arm.kinds, numbers, tolerance)
-    lines = [f"Found: joints {arm.kinds}; {axes}.", "Families:"]
-    for name, rule in structure.RULES.items():
-        lines.append(f"  {name}: {rule.summary}.")
-        if name not in verdict.evidence:
-            continue
-        lines.append(f"    Not this arm: {structure.describe(verdict.evidence[name])}.")
-    return "\n".join(lines)
+    raise ValueError(refusal(arm))
 
 
 _ACCEPTED = (jnp.float32, jnp.float64)
