@@ -9,14 +9,14 @@ Source: the URDF specification, wiki.ros.org/urdf/XML/joint and wiki.ros.org/urd
 
 import os
 import re
-import warnings
 from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 
 from ikjax.arm.dh import MAX_LENGTH
-from ikjax.arm.urdf_xml import Element, listing, load, parse, quote
+from ikjax.arm.urdf_xml import Element, is_xacro, listing, load, parse, quote
+from ikjax.core.warn import warn
 
 MAX_JOINTS = 32
 KINDS = {"revolute": "R", "continuous": "R", "prismatic": "P"}
@@ -64,25 +64,26 @@ def read_chain(
         ImportError: The extra `urdf` is not installed.
         OSError: The file cannot be read.
     """
-    tree = _grow(*parse(*load(source)))
+    robot, links, named = parse(*load(source))
+    tree = _grow(robot, links, named.values())
     base, path = _path(tree, base, tip)
     joints: list[UrdfJoint] = []
     pose = np.eye(4)
     for joint in path:
         pose = pose @ _origin(joint)
         if joint.kind != "fixed":
-            joints.append(UrdfJoint(joint.name, KINDS[joint.kind], pose, _axis(joint), *_limits(joint)))
+            name = joint.element.required("name")
+            joints.append(UrdfJoint(name, KINDS[joint.kind], pose, _axis(joint), *_limits(joint)))
             pose = np.eye(4)
     end = path[-1].child if path else base
     if not 1 <= len(joints) <= MAX_JOINTS:
         count = f"{len(joints)} moving joints, more than {MAX_JOINTS}," if joints else "no moving joint"
         raise tree.robot.error(f"{count} between links {quote(base)} and {quote(end)}")
-    return UrdfChain(tree.robot.attributes["name"], base, end, tuple(joints), pose)
+    return UrdfChain(tree.robot.attributes.get("name") or "robot", base, end, tuple(joints), pose)
 
 
 class _Joint(NamedTuple):
     element: Element
-    name: str
     kind: str
     parent: str
     child: str
@@ -96,14 +97,13 @@ class _Tree(NamedTuple):
     """The joints that each link carries."""
 
 
-def _grow(robot: Element, links: Iterable[str], joints: dict[str, Element]) -> _Tree:
-    robot.required("name")
+def _grow(robot: Element, links: Iterable[str], joints: Iterable[Element]) -> _Tree:
     tree = _Tree(robot, {}, {link: [] for link in links})
     if not tree.below:
         raise robot.error("no links")
-    for name, element in joints.items():
+    for element in joints:
         parent, child = (_end(element, side, tree.below) for side in ("parent", "child"))
-        joint = _Joint(element, name, element.required("type"), parent, child)
+        joint = _Joint(element, element.required("type"), parent, child)
         first = tree.above.setdefault(child, joint)
         if first is not joint:
             raise element.error(f"link {quote(child)} has a parent already, by {first.element.label}")
@@ -184,7 +184,7 @@ def _numbers(element: Element, key: str, default: str) -> list[float]:
     plain = len(words) == wanted and all(map(_NUMBER.fullmatch, words))
     values = [float(word) for word in words] if plain else []
     if not plain or not np.isfinite(values).all():
-        hint = ": expand xacro first" if "${" in text or "$(" in text else ""
+        hint = ": expand xacro first" if is_xacro(text) else ""
         wish = f"{key} of <{element.tag}> must hold {wanted} plain, finite decimal number{'s'[: wanted - 1]}"
         raise element.error(f"{wish}, got {quote(text)}{hint}")
     return values
@@ -228,7 +228,7 @@ def _axis(joint: _Joint) -> np.ndarray:
     unit = axis / largest
     length = float(np.linalg.norm(unit))
     if abs(largest * length - 1) > 1e-6:
-        warnings.warn(str(element.error(f"axis has length {largest * length:g}, normalised")), stacklevel=3)
+        warn(str(element.error(f"axis has length {largest * length:g}, normalised")))
     return unit / length
 
 
@@ -236,6 +236,9 @@ def _limits(joint: _Joint) -> tuple[float, float]:
     if joint.kind == "continuous":
         return -np.inf, np.inf
     element = joint.element.children.get("limit")
+    if joint.kind == "revolute" and (element is None or not {"lower", "upper"} & element.attributes.keys()):
+        warn(str(joint.element.error("no <limit> with lower or upper, taken as unlimited")))
+        return -np.inf, np.inf
     if element is None:
         raise joint.element.error(f"a {joint.kind} joint needs a <limit>")
     lower, upper = (_numbers(element, key, "0")[0] for key in ("lower", "upper"))
