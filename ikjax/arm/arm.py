@@ -152,6 +152,9 @@ class Arm:
             tolerance: How far axes may be off [rad], and as a share of the arm's size; at most 0.02.
             coupling, name, family, dtype: As in `from_dh`.
 
+        Warns:
+            Where a turning joint has no limits, or the last joints look like a gripper's.
+
         Raises:
             ArmFileError: A file that is not sound, or holds what is no serial arm of turning and
                 sliding joints: with its line and the element.

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ikjax.arm.dh import MAX_LENGTH
+from ikjax.arm.gripper import Moved, gripper
 from ikjax.arm.urdf_xml import Element, is_xacro, listing, load, parse, quote
 from ikjax.core.warn import warn
 
@@ -59,6 +60,10 @@ def read_chain(
         base: Name of the first link; by default the one link without a parent.
         tip: Name of the last link, below `base`; by default the one link there without a child.
 
+    Warns:
+        Where a turning joint has no limits, where an axis has no unit length, and where the last joints
+        look like a gripper's.
+
     Raises:
         ArmFileError: The file is not plainly right, or does not hold such a chain.
         ImportError: The extra `urdf` is not installed.
@@ -79,6 +84,7 @@ def read_chain(
     if not 1 <= len(joints) <= MAX_JOINTS:
         count = f"{len(joints)} moving joints, more than {MAX_JOINTS}," if joints else "no moving joint"
         raise tree.robot.error(f"{count} between links {quote(base)} and {quote(end)}")
+    _say_gripper([joint for joint in path if joint.kind != "fixed"], joints)
     return UrdfChain(tree.robot.attributes.get("name") or "robot", base, end, tuple(joints), pose)
 
 
@@ -175,6 +181,18 @@ def _supported(joint: _Joint) -> _Joint:
     if "mimic" in joint.element.children:
         raise joint.element.children["mimic"].error("a joint that mimics another is not supported")
     return joint
+
+
+def _say_gripper(path: list[_Joint], joints: list[UrdfJoint]) -> None:
+    """Warn where the chain ends in what is probably no part of the arm."""
+    moved = [Moved(j.name, at.child, j.kind, j.lower, j.upper) for at, j in zip(path, joints, strict=True)]
+    count = gripper(moved)
+    if count:
+        first = path[-count]
+        others = listing(quote(joint.name) for joint in joints[len(joints) - count + 1 :])
+        reason = f"looks like a gripper's{f', so does {others}' if others else ''}"
+        reason += f": leave it out with tip={quote(first.parent)}"
+        warn(str(first.element.error(reason)))
 
 
 def _numbers(element: Element, key: str, default: str) -> list[float]:

@@ -244,6 +244,25 @@ def test_the_so101_is_read_with_its_rounded_angles():
     np.testing.assert_allclose(chain.tool[:3, 3], [-0.0079, -0.000218121, -0.0981274])
 
 
+def test_a_jaw_at_the_end_is_said_with_the_link_before_it():
+    text = robot(
+        link(*"abcd", "hand", "jaw", "tip"),
+        *(joint(p + c, p, c, "continuous") for p, c in ("ab", "bc", "cd")),
+        joint("roll", "d", "hand"),
+        joint("moving_jaw", "hand", "jaw"),
+        joint("end", "jaw", "tip", "fixed"),
+    )
+    with pytest.warns(UserWarning) as seen:
+        chain = read_chain(text)
+    assert [str(w.message) for w in seen] == [
+        '<string>:7: <joint name="moving_jaw">: looks like a gripper\'s: leave it out with tip="hand"'
+    ]
+    assert len(chain.joints) == 5 and seen[0].filename == __file__
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert len(read_chain(text, tip="hand").joints) == 4
+
+
 def test_a_path_text_and_bytes_read_the_same(tmp_path):
     text = f'<?xml version="1.0" encoding="UTF-8"?>\n{one()}'
     file = tmp_path / "arm.urdf"
