@@ -152,7 +152,10 @@ def test_a_branching_file_is_cut_to_the_chain_asked_for(ends, names):
         ({"base": "hand", "tip": "arm"}, 'tip link "arm" is not below base link "hand"'),
         ({"base": "arm", "tip": "camera"}, 'no moving joint between links "arm" and "camera"'),
         ({"base": "hand", "tip": "hand"}, "no moving joint"),
-        ({"tip": "right"}, '<joint name="follow">: a joint that mimics another is not supported'),
+        (
+            {"tip": "right"},
+            '<joint name="follow">: mimics "grip", no moving joint of the chain: choose base=',
+        ),
         ({"tip": "free"}, '<joint name="drift">: type "floating" must be one of fixed, revolute,'),
     ],
 )
@@ -556,7 +559,8 @@ def test_xacro_elements_are_to_be_expanded_first():
         ('<limit lower="2" upper="1"/>', "revolute", "limit must have lower <= upper, got 2 and 1"),
         ('<limit lower="1"/>', "prismatic", "limit must have lower <= upper, got 1 and 0"),
         (f'<origin xyz="1e101 0 0"/>{LIMIT}', "revolute", "xyz of <origin> must be at most 1e+100 m"),
-        (f'{LIMIT}<mimic joint="k"/>', "revolute", "a joint that mimics another is not supported"),
+        (f"{LIMIT}<mimic/>", "revolute", "<mimic> needs a joint"),
+        (f'{LIMIT}<mimic joint="j"/>', "revolute", 'mimics "j", which mimics it'),
         (f"<origin/><origin/>{LIMIT}", "revolute", "duplicate <origin>, the first is on line 3"),
     ],
 )
