@@ -59,8 +59,11 @@ def row(name: str, value, n: int):
         if bad.any():
             i = int(np.argmax(bad))
             raise ValueError(f"{name}[{i}] (joint {i + 1}) must be a finite number, got {value[i]}")
-    suspect = warn_of_degrees if name in ("alpha", "theta") else warn_of_millimetres
-    suspect(name, value)
+        if name in ("alpha", "theta"):
+            warn_of_degrees(name, value)
+        else:
+            # The sum: offsets along nearly parallel axes, as calibrations have them, are long and cancel.
+            warn_of_millimetres(name, value.sum())
     return value
 
 

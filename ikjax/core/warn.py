@@ -16,8 +16,8 @@ MOST_LOOKED_AT = 100_000
 MOST_TURNS = 4
 """Joints that stand further are taken for degrees."""
 
-LONGEST_LINK = 30
-"""[m] Longer ones are taken for millimetres."""
+LONGEST = 30
+"""[m] Longer arms are taken for millimetres."""
 
 UNIT_MISTAKE = 1e5
 """What is so large is in no unit of its kind: it stands for no limit, or tests a range of numbers."""
@@ -42,11 +42,11 @@ def warn_of_degrees(name: str, angles, turns: float = 1, kinds: str = "") -> Non
         warn(f"{name} holds {found:.4g} rad, which is {found / (2 * math.pi):.3g} turns: degrees?")
 
 
-def warn_of_millimetres(name: str, lengths) -> None:
-    """One warning where a length [m] is longer than links are."""
-    found = _beyond(lengths, LONGEST_LINK, [True])
+def warn_of_millimetres(name: str, length) -> None:
+    """One warning where a column of a table adds up to more metres than arms are long."""
+    found = _beyond(length, LONGEST, [True])
     if found is not None:
-        warn(f"{name} holds {found:.4g} m: millimetres?")
+        warn(f"{name} adds up to {found:.4g} m: millimetres?")
 
 
 def _beyond(values, most: float, columns: list[bool]) -> float | None:

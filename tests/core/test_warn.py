@@ -14,7 +14,7 @@ from ikjax.core.warn import MOST_LOOKED_AT, warn_of_degrees, warn_of_millimetres
     [
         (warn_of_degrees, [0.0, -90.0, 180.0], "x holds 90 rad, which is 14.3 turns: degrees?"),
         (warn_of_degrees, np.array([[7, 0]]), "x holds 7 rad, which is 1.11 turns: degrees?"),
-        (warn_of_millimetres, [0.0, 431.8], "x holds 431.8 m: millimetres?"),
+        (warn_of_millimetres, -431.8, "x adds up to 431.8 m: millimetres?"),
     ],
 )
 def test_it_is_said_once_with_the_argument_and_the_value(check, values, text):
