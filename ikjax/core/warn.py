@@ -19,7 +19,7 @@ MOST_TURNS = 4
 LONGEST = 30
 """[m] Longer arms are taken for millimetres."""
 
-UNIT_MISTAKE = 1e5
+UNIT_MISTAKE = 2e4
 """What is so large is in no unit of its kind: it stands for no limit, or tests a range of numbers."""
 
 
