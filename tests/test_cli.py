@@ -261,6 +261,77 @@ def test_an_arm_can_be_a_urdf_file(capsys, tmp_path):
     assert "two.urdf" in capsys.readouterr().err
 
 
+JOINT = """<joint name="{0}" type="{1}"><parent link="{2}"/><child link="{3}"/><origin xyz="0.5 0 0"/>
+<axis xyz="0 {4} 1"/><limit lower="-1" upper="1"/></joint>"""
+
+
+@pytest.fixture
+def forked(tmp_path, monkeypatch):
+    """A SCARA, its axes parallel to 1e-3 only, with a camera beside its tool, as a file."""
+    monkeypatch.chdir(tmp_path)
+    rows = ["j1 revolute a b 0", "j2 revolute b c 0.001", "j3 prismatic c d 0", "j4 revolute d e 0"]
+    rows += ["t fixed e tool 0", "k fixed e camera 0"]
+    links = "".join(f'<link name="{name}"/>' for name in ("a", "b", "c", "d", "e", "tool", "camera"))
+    text = f'<robot name="forked">{links}{"".join(JOINT.format(*row.split()) for row in rows)}</robot>'
+    (tmp_path / "forked.URDF").write_text(text)
+    (tmp_path / "forked").write_text(text)
+    return "forked.URDF"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["info"],
+        ["solve", "--xyz", "0.5", "0.5", "0"],
+        ["verify", "-n", "50"],
+        ["sweep", "--spacing", "0.5", "--orientations", "1"],
+    ],
+)
+def test_every_command_takes_the_ends_of_a_files_arm_and_its_tolerance(run, forked, words):
+    if words[0] == "sweep":
+        pytest.importorskip("tensorstore")
+    words = [words[0], forked, *words[1:]]
+    code, out, err = run(*words)
+    assert (code, out) == (2, "") and 'give one as --tip: "tool"' in err and "tip=" not in err
+    code, _, err = run(*words, "--tip", "hand")
+    assert code == 2 and '--tip "hand" is none of' in err
+    ends = ["--base", "a", "--tip", "tool", "--tolerance"]
+    code, out, err = run(*words, *ends, "1e-5")
+    if words[0] == "info":
+        assert code == 0 and "no closed form here: axes 1, 2, 3, 4 are 0.0573 deg" in out
+        assert "build it with --tolerance 1e-3" in out and "tolerance=" not in out
+    else:
+        assert code == 2 and "build it with --tolerance 1e-3" in err and "tolerance=" not in err
+    code, out, err = run(*words, *ends, "1e-2")
+    assert code < 2 and "forked" in out, err  # nothing need be reached
+
+
+def test_a_file_is_known_by_its_ending_or_by_being_there(run, forked):
+    assert run("info", "forked", "--tip", "tool")[0] == 0
+    for name in ("nowhere.urdf", "nowhere.URDF", "deep/nowhere.xml"):
+        code, _, err = run("info", name)
+        assert code == 2 and "No such file" in err and name in err
+    code, _, err = run("info", "nowhere")
+    assert code == 2 and "no such file, and no robot 'nowhere'; the catalogue has" in err
+
+
+def test_an_option_of_files_is_refused_for_the_catalogue(run):
+    code, _, err = run("info", "ur5", "--tip", "tool0")
+    assert code == 2 and "--tip goes with a URDF file, ur5 is of the catalogue" in err
+    code, _, err = run("sweep", "study.toml", "--tip", "tool0")
+    assert code == 2 and "--tip is for study.toml to say" in err
+
+
+def test_a_goal_may_be_a_rotation_vector_or_a_quaternion_with_its_scalar_last(run):
+    words = ["solve", "ur5", "--xyz", "0.4", "0.2", "0.3", "--json"]
+    turns = [["--rpy", "0", "0", "1"], ["--rotvec", "0", "0", "1"]]
+    turns.append(["--xyzw", "0", "0", "0.479425538604203", "0.8775825618903728"])
+    goals = [json.loads(run(*words, *turn)[1])["goal"] for turn in turns]
+    for goal in goals[1:]:
+        for row, wanted in zip(goal, goals[0], strict=True):
+            assert row == pytest.approx(wanted)
+
+
 def test_verify_judges_arms_and_writes_a_table(capsys, tmp_path):
     table = tmp_path / "table.md"
     assert cli.main(["verify", "planar_3r", "gx4_351s", "-n", "500", "--out", str(table)]) == 0

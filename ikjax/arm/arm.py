@@ -119,7 +119,7 @@ class Arm:
         columns = {name: dh.row(name, column, n) for name, column in columns.items()}
         base = dh.check_pose("base", np.eye(4) if base is None else base)
         tool = dh.check_pose("tool", np.eye(4) if tool is None else tool)
-        limits, coupling = dh.check_limits(limits, n), dh.check_coupling(coupling, n)
+        limits, coupling = dh.check_limits(limits, kinds), dh.check_coupling(coupling, n)
         columns, base, up = dh.to_standard(convention, columns, base)
         leaves = {**columns, "base": base, "tool": tool, "limits": limits, "coupling": coupling}
         leaves["correction"] = dh.check_correction(correction, n)
@@ -149,7 +149,8 @@ class Arm:
 
         Files hold rounded numbers. Axes that are parallel, square or meeting to the tolerance are
         recognised as such; what they are off by is kept in `correction`, and `solve` answers for the
-        arm as the file has it.
+        arm as the file has it. Joints that mimic others become `coupling`, where parallel neighbours
+        combine to one joint a motor: `q` then holds the values of the joints that lead.
 
         Args:
             source: A path, or the XML itself. Meshes are never opened and nothing is fetched.
@@ -158,22 +159,22 @@ class Arm:
                 default the least of 1e-5, 1e-4 and 1e-3 that gives the arm a family.
             coupling, name, family, dtype: As in `from_dh`.
 
+        Warns:
+            Where a turning joint has no limits, or the last joints look like a gripper's.
+
         Raises:
             ArmFileError: A file that is not sound, or holds what is no serial arm of turning and
                 sliding joints: with its line and the element.
         """
-        from ikjax.arm.urdf import read_chain
+        from ikjax.arm.urdf import axes_of, read_chain
 
         chain = read_chain(source, base, tip)
-        n, frame, along, points = len(chain.joints), np.eye(4), [], []
-        for joint in chain.joints:
-            frame = frame @ joint.origin
-            along.append(frame[:3, :3] @ joint.axis)
-            points.append(frame[:3, 3])
-        kinds = "".join(joint.kind for joint in chain.joints)
-        given = Axes(kinds, np.array(along), np.array(points), frame @ chain.tool)
-        limits = dh.check_limits([(joint.lower, joint.upper) for joint in chain.joints], n)
-        leaves = {"limits": limits, "coupling": dh.check_coupling(coupling, n), "base": np.eye(4)}
+        given, driven, ranges = axes_of(chain)
+        if coupling is not None and driven is not None:
+            raise ValueError("coupling is what the file's mimic joints say: leave it out")
+        coupling = dh.check_coupling(driven if coupling is None else coupling, len(given.kinds))
+        limits = dh.check_limits(ranges, given.kinds)
+        leaves = {"limits": limits, "coupling": coupling, "base": np.eye(4)}
         up = -1 if given.along[0][2] < -1e-9 else 1
         return _nearest(given, leaves, tolerance, family, up, name or chain.name, dtype)
 

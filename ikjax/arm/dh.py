@@ -10,6 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ikjax.core import vector
+from ikjax.core.pose import NEAREST_WITHIN
+from ikjax.core.warn import warn_of_degrees, warn_of_millimetres
 
 EXACT = 1e-14
 """R^T R - I of a float64 rotation is below."""
@@ -57,6 +59,11 @@ def row(name: str, value, n: int):
         if bad.any():
             i = int(np.argmax(bad))
             raise ValueError(f"{name}[{i}] (joint {i + 1}) must be a finite number, got {value[i]}")
+        if name in ("alpha", "theta"):
+            warn_of_degrees(name, value)
+        else:
+            # The sum: offsets along nearly parallel axes, as calibrations have them, are long and cancel.
+            warn_of_millimetres(name, value.sum())
     return value
 
 
@@ -73,15 +80,18 @@ def check_pose(name: str, value):
         rotation = value[:3, :3]
         gap = np.linalg.norm(rotation.T @ rotation - np.eye(3))
         if gap > 1e-5 or np.linalg.det(rotation) < 0:
-            raise ValueError(f"{name} must hold a rotation, its R^T R - I has norm {gap:.1g}")
+            rounded = EXACT < gap <= NEAREST_WITHIN
+            remedy = ": take the nearest with pose(matrix=..., orthonormalize=True)" if rounded else ""
+            raise ValueError(f"{name} must hold a rotation, its R^T R - I has norm {gap:.1g}{remedy}")
         if gap > EXACT:
             value = value.copy()
             value[:3, :3] = vector.orthonormal(tuple(map(tuple, rotation.tolist())))
     return value
 
 
-def check_limits(limits, n: int) -> np.ndarray:
+def check_limits(limits, kinds: str) -> np.ndarray:
     """(n, 2) limits; None stands for no limit."""
+    n = len(kinds)
     if limits is None:
         return np.tile([-np.inf, np.inf], (n, 1))
     limits = _convert("limits", limits)
@@ -90,6 +100,8 @@ def check_limits(limits, n: int) -> np.ndarray:
     for i, (lower, upper) in enumerate(limits):
         if not lower <= upper:
             raise ValueError(f"limits[{i}] (joint {i + 1}) must be lower <= upper, got ({lower}, {upper})")
+    # Joints may turn twice either way.
+    warn_of_degrees("limits", limits.T, turns=2, kinds=kinds)
     return limits
 
 

@@ -9,14 +9,17 @@ Source: the URDF specification, wiki.ros.org/urdf/XML/joint and wiki.ros.org/urd
 
 import os
 import re
-import warnings
 from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 
+from ikjax.arm.axes import Axes
 from ikjax.arm.dh import MAX_LENGTH
-from ikjax.arm.urdf_xml import Element, listing, load, parse, quote
+from ikjax.arm.gripper import Moved, gripper
+from ikjax.arm.mimic import one_joint_a_motor
+from ikjax.arm.urdf_xml import ArmFileError, Element, is_xacro, listing, load, parse, quote, show
+from ikjax.core.warn import warn
 
 MAX_JOINTS = 32
 KINDS = {"revolute": "R", "continuous": "R", "prismatic": "P"}
@@ -33,9 +36,13 @@ class UrdfJoint(NamedTuple):
     axis: np.ndarray
     """(3,) unit vector in the joint's frame."""
     lower: float
-    """[rad or m], -inf where there is no limit."""
+    """Of the leader's value [rad or m], -inf where there is no limit."""
     upper: float
     """[rad or m], inf where there is no limit."""
+    leader: str
+    """The joint that it mimics, or itself."""
+    factor: float
+    """Its value is that of the leader times this; an offset is part of the origin."""
 
 
 class UrdfChain(NamedTuple):
@@ -59,30 +66,93 @@ def read_chain(
         base: Name of the first link; by default the one link without a parent.
         tip: Name of the last link, below `base`; by default the one link there without a child.
 
+    Warns:
+        Where a turning joint has no limits, where an axis has no unit length, and where the last joints
+        look like a gripper's.
+
     Raises:
         ArmFileError: The file is not plainly right, or does not hold such a chain.
         ImportError: The extra `urdf` is not installed.
         OSError: The file cannot be read.
     """
-    tree = _grow(*parse(*load(source)))
+    robot, links, named = parse(*load(source))
+    tree = _grow(robot, links, named.values())
     base, path = _path(tree, base, tip)
+    names = {joint.element.attributes.get("name"): joint for joint in path if joint.kind != "fixed"}
+    moving: list[_Joint] = []
     joints: list[UrdfJoint] = []
     pose = np.eye(4)
     for joint in path:
         pose = pose @ _origin(joint)
         if joint.kind != "fixed":
-            joints.append(UrdfJoint(joint.name, KINDS[joint.kind], pose, _axis(joint), *_limits(joint)))
+            leader, factor, offset = _leader(joint, names)
+            kind, axis, (lower, upper) = KINDS[joint.kind], _axis(joint), _limits(joint)
+            pose = pose @ _moved(kind, axis, offset)
+            if factor == 0:
+                continue
+            moving.append(joint)
+            lower, upper = sorted(((lower - offset) / factor, (upper - offset) / factor))
+            joints.append(
+                UrdfJoint(joint.element.required("name"), kind, pose, axis, lower, upper, leader, factor)
+            )
             pose = np.eye(4)
     end = path[-1].child if path else base
     if not 1 <= len(joints) <= MAX_JOINTS:
         count = f"{len(joints)} moving joints, more than {MAX_JOINTS}," if joints else "no moving joint"
         raise tree.robot.error(f"{count} between links {quote(base)} and {quote(end)}")
-    return UrdfChain(tree.robot.attributes["name"], base, end, tuple(joints), pose)
+    _say_gripper(moving, joints)
+    return UrdfChain(tree.robot.attributes.get("name") or "robot", base, end, tuple(joints), pose)
+
+
+def axes_of(chain: UrdfChain) -> tuple[Axes, np.ndarray | None, list[tuple[float, float]]]:
+    """Where a chain's axes are, one for each joint that leads, and what drives them.
+
+    Returns:
+        The axes, (n, n) from motor values to joint values, None where every joint has its own motor, and
+        the limits of the motors.
+
+    Raises:
+        ArmFileError: Joints that mimic others, where it takes more joints than motors to say so.
+    """
+    frame, along, points = np.eye(4), [], []
+    for joint in chain.joints:
+        frame = frame @ joint.origin
+        along.append(frame[:3, :3] @ joint.axis)
+        points.append(frame[:3, 3])
+    kinds = "".join(joint.kind for joint in chain.joints)
+    given = Axes(kinds, np.array(along), np.array(points), frame @ chain.tool)
+    motors = [joint.name for joint in chain.joints if joint.leader == joint.name]
+    limits = [_together(chain, motor) for motor in motors]
+    if len(motors) == len(kinds):
+        return given, None, limits
+    rows = np.array([[joint.factor * (joint.leader == motor) for motor in motors] for joint in chain.joints])
+    given, rows = one_joint_a_motor(given, rows)
+    if len(rows) != len(motors):
+        first = next(joint for joint in chain.joints if joint.leader != joint.name)
+        raise ArmFileError(
+            f"{show(chain.name)}: joint {quote(first.name)} mimics {quote(first.leader)}: among parallel "
+            f"neighbours such joints become one a motor, here {len(rows)} are left for {len(motors)} motors. "
+            "Choose base= and tip= on one side of it, or make it fixed"
+        )
+    return given, rows, limits
+
+
+def _together(chain: UrdfChain, motor: str) -> tuple[float, float]:
+    """The limits of a joint and of those that mimic it; the latter's are often left at 0 and 0."""
+    leads = next(joint for joint in chain.joints if joint.name == motor)
+    lower, upper = leads.lower, leads.upper
+    for joint in chain.joints:
+        if joint.leader == motor and joint.lower < joint.upper:
+            lower, upper = max(lower, joint.lower), min(upper, joint.upper)
+    if lower > upper:
+        raise ArmFileError(
+            f"{show(chain.name)}: joints that mimic {quote(motor)} leave no value within limits"
+        )
+    return lower, upper
 
 
 class _Joint(NamedTuple):
     element: Element
-    name: str
     kind: str
     parent: str
     child: str
@@ -96,14 +166,13 @@ class _Tree(NamedTuple):
     """The joints that each link carries."""
 
 
-def _grow(robot: Element, links: Iterable[str], joints: dict[str, Element]) -> _Tree:
-    robot.required("name")
+def _grow(robot: Element, links: Iterable[str], joints: Iterable[Element]) -> _Tree:
     tree = _Tree(robot, {}, {link: [] for link in links})
     if not tree.below:
         raise robot.error("no links")
-    for name, element in joints.items():
+    for element in joints:
         parent, child = (_end(element, side, tree.below) for side in ("parent", "child"))
-        joint = _Joint(element, name, element.required("type"), parent, child)
+        joint = _Joint(element, element.required("type"), parent, child)
         first = tree.above.setdefault(child, joint)
         if first is not joint:
             raise element.error(f"link {quote(child)} has a parent already, by {first.element.label}")
@@ -172,9 +241,53 @@ def _path(tree: _Tree, base: str | None, tip: str | None) -> tuple[str, list[_Jo
 def _supported(joint: _Joint) -> _Joint:
     if joint.kind != "fixed" and joint.kind not in KINDS:
         raise joint.element.error(f"type {quote(joint.kind)} must be one of fixed, {', '.join(KINDS)}")
-    if "mimic" in joint.element.children:
-        raise joint.element.children["mimic"].error("a joint that mimics another is not supported")
     return joint
+
+
+def _leader(joint: _Joint, chain: dict[str | None, _Joint]) -> tuple[str, float, float]:
+    """The joint that drives this one, maybe itself, and the factor and offset of its value."""
+    factor, offset, seen = 1.0, 0.0, set()
+    while "mimic" in joint.element.children:
+        mimic = joint.element.children["mimic"]
+        name = mimic.required("joint")
+        seen.add(joint.element.attributes.get("name"))
+        if name in seen:
+            raise mimic.error(f"mimics {quote(name)}, which mimics it")
+        if name not in chain:
+            raise mimic.error(
+                f"mimics {quote(name)}, no moving joint of the chain: choose base= and tip= with both on one "
+                "side, or take the <mimic> out to have it move by itself"
+            )
+        multiplier, shift = (_numbers(mimic, key, default)[0] for key, default in _MIMIC)
+        joint, offset, factor = chain[name], offset + factor * shift, factor * multiplier
+    return joint.element.required("name"), factor, offset
+
+
+_MIMIC = ("multiplier", "1"), ("offset", "0")
+
+
+def _moved(kind: str, axis: np.ndarray, value: float) -> np.ndarray:
+    """(4, 4) the motion of a joint."""
+    pose = np.eye(4)
+    if kind == "P":
+        pose[:3, 3] = value * axis
+    elif value:
+        x, y, z = axis
+        cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        pose[:3, :3] += np.sin(value) * cross + (1 - np.cos(value)) * cross @ cross
+    return pose
+
+
+def _say_gripper(path: list[_Joint], joints: list[UrdfJoint]) -> None:
+    """Warn where the chain ends in what is probably no part of the arm."""
+    moved = [Moved(j.name, at.child, j.kind, j.lower, j.upper) for at, j in zip(path, joints, strict=True)]
+    count = gripper(moved)
+    if count:
+        first = path[-count]
+        others = listing(quote(joint.name) for joint in joints[len(joints) - count + 1 :])
+        reason = f"looks like a gripper's{f', so does {others}' if others else ''}"
+        reason += f": leave it out with tip={quote(first.parent)}"
+        warn(str(first.element.error(reason)))
 
 
 def _numbers(element: Element, key: str, default: str) -> list[float]:
@@ -184,7 +297,7 @@ def _numbers(element: Element, key: str, default: str) -> list[float]:
     plain = len(words) == wanted and all(map(_NUMBER.fullmatch, words))
     values = [float(word) for word in words] if plain else []
     if not plain or not np.isfinite(values).all():
-        hint = ": expand xacro first" if "${" in text or "$(" in text else ""
+        hint = ": expand xacro first" if is_xacro(text) else ""
         wish = f"{key} of <{element.tag}> must hold {wanted} plain, finite decimal number{'s'[: wanted - 1]}"
         raise element.error(f"{wish}, got {quote(text)}{hint}")
     return values
@@ -228,7 +341,7 @@ def _axis(joint: _Joint) -> np.ndarray:
     unit = axis / largest
     length = float(np.linalg.norm(unit))
     if abs(largest * length - 1) > 1e-6:
-        warnings.warn(str(element.error(f"axis has length {largest * length:g}, normalised")), stacklevel=3)
+        warn(str(element.error(f"axis has length {largest * length:g}, normalised")))
     return unit / length
 
 
@@ -236,6 +349,11 @@ def _limits(joint: _Joint) -> tuple[float, float]:
     if joint.kind == "continuous":
         return -np.inf, np.inf
     element = joint.element.children.get("limit")
+    if element is None and "mimic" in joint.element.children:
+        return -np.inf, np.inf
+    if joint.kind == "revolute" and (element is None or not {"lower", "upper"} & element.attributes.keys()):
+        warn(str(joint.element.error("no <limit> with lower or upper, taken as unlimited")))
+        return -np.inf, np.inf
     if element is None:
         raise joint.element.error(f"a {joint.kind} joint needs a <limit>")
     lower, upper = (_numbers(element, key, "0")[0] for key in ("lower", "upper"))

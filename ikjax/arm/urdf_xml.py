@@ -17,6 +17,8 @@ MAX_ELEMENTS = 100_000
 MAX_DEPTH = 64
 PIECE = 2**18
 XINCLUDE = "http://www.w3.org/2001/XInclude"
+XACRO_DEFINES = ("property", "arg", "macro")
+"""Elements of xacro that change nothing where nothing uses them."""
 _DECLARED = re.compile(r"<\?xml\s[^>]*?\bencoding\s*=\s*[\"']([^\"']*)")
 
 
@@ -57,9 +59,17 @@ class Element(NamedTuple):
         return file_error(self.file, self.line, self.label, reason)
 
     def required(self, key: str) -> str:
-        if not self.attributes.get(key):
+        text = self.attributes.get(key)
+        if not text:
             raise self.error(f"<{show(self.tag)}> needs a {key}")
-        return self.attributes[key]
+        if is_xacro(text):
+            raise self.error(f"{key} of <{show(self.tag)}> is {quote(text)}: expand xacro first")
+        return text
+
+
+def is_xacro(text: str) -> bool:
+    """Whether an attribute holds what xacro would replace."""
+    return "${" in text or "$(" in text
 
 
 def load(source: str | bytes | os.PathLike) -> tuple[str, str]:
@@ -95,6 +105,8 @@ class _Collector(ContentHandler):
     """Takes the parser's events, counts them, and keeps links and joints: no deep tree to recurse in."""
 
     robot: Element
+    space: str
+    """The robot's namespace."""
 
     def __init__(self, file: str, line: Callable[[], int]):
         self.file, self.line, self.count = file, line, 0
@@ -107,11 +119,16 @@ class _Collector(ContentHandler):
         label = self.open[1].label if depth > 1 else f"<{show(tag)}{name}>"
         element = Element(self.file, self.line(), label, tag, attributes, {})
         self.open.append(element)
-        self._check(element)
+        space = self._check(element)
         if depth == 0:
-            self.robot = element
+            self.robot, self.space = element, space
+        elif space != self.space:
+            pass  # of another namespace, which the kinematics do not use
         elif depth == 1 and tag in self.named:
-            self._keep(self.named[tag], element.required("name"), element)
+            # A joint off the chain may have no name, and is found by its place.
+            nameless = tag == "joint" and not attributes.get("name")
+            key = f"\0{self.count}" if nameless else element.required("name")
+            self._keep(self.named[tag], key, element)
         elif depth == 2 and self.open[1].tag == "joint":
             self._keep(self.open[1].children, tag, element)
 
@@ -123,22 +140,33 @@ class _Collector(ContentHandler):
         if first is not element:
             raise element.error(f"duplicate <{show(element.tag)}>, the first is on line {first.line}")
 
-    def _check(self, element: Element) -> None:
+    def _check(self, element: Element) -> str:
+        """The element's namespace, if it may stand where it does."""
         self.count += 1
         if self.count > MAX_ELEMENTS:
             raise element.error(f"the file holds more than {MAX_ELEMENTS} elements")
         if len(self.open) > MAX_DEPTH:
             raise element.error(f"elements are nested deeper than {MAX_DEPTH}")
-        prefix, colon, _ = element.tag.rpartition(":")
+        prefix, colon, name = element.tag.rpartition(":")
         space = self._space("xmlns" + colon + prefix)
         if space == XINCLUDE or element.tag == "xi:include":
             raise element.error("XInclude is refused: nothing is fetched")
         # Old xacro files include others without a prefix.
         old = len(self.open) == 2 and element.tag == "include"
-        if prefix == "xacro" or space.endswith("/xacro") or old:
+        xacro = prefix == "xacro" or space.endswith("/xacro")
+        if old or (xacro and self._is_kinematic(name)):
             raise element.error(f"<{show(element.tag)}> is not URDF: expand xacro first")
         if len(self.open) == 1 and element.tag != "robot":
             raise element.error("the root element must be <robot>")
+        return space
+
+    def _is_kinematic(self, name: str) -> bool:
+        """Whether an element of xacro may change links and joints.
+
+        A definition does not, nor does what stands inside of one, or inside of anything but a joint.
+        """
+        robot_or_joint = len(self.open) <= 2 or self.open[1].tag == "joint"
+        return robot_or_joint and (name not in XACRO_DEFINES or len(self.open) == 1)
 
     def _space(self, key: str) -> str:
         """The namespace that a prefix stands for here."""

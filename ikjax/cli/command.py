@@ -8,7 +8,7 @@ import warnings
 
 import jax
 
-from ikjax.cli.say import complain
+from ikjax.cli.say import complain, in_flags
 from ikjax.cli.words import parser
 
 
@@ -22,11 +22,11 @@ def main(argv=None) -> int:
     jax.config.update("jax_enable_x64", True)
     try:
         with warnings.catch_warnings():
-            warnings.showwarning = lambda message, *_: complain(message)
+            warnings.showwarning = lambda message, *_: complain(in_flags(options, str(message)))
             return options.run(options)
     except BrokenPipeError:  # the reader, `head` say, has seen enough
         sys.stdout = None
         return 0
     except (ValueError, OSError, ImportError) as error:
-        complain(error)
+        complain(in_flags(options, str(error)))
         return 2

@@ -6,7 +6,7 @@ Outside the storeys.
 import numpy as np
 
 import ikjax
-from ikjax.cli.say import say
+from ikjax.cli.say import file_options, in_flags, say
 from ikjax.study import recipe
 
 
@@ -17,13 +17,13 @@ def run_info(options) -> int:
         catalogue = {arm.name: {"kinds": arm.kinds, "family": arm.family} for arm in arms}
         say(options, "\n".join(lines), catalogue)
         return 0
-    arm = recipe.find_arm(options.arm)
+    arm = recipe.find_arm(options.arm, **file_options(options))
     table = {key: np.asarray(getattr(arm, key)).tolist() for key in ("a", "alpha", "d", "theta")}
     limits = [[x if np.isfinite(x) else None for x in pair] for pair in np.asarray(arm.limits).tolist()]
     data = {"name": arm.name, "kinds": arm.kinds, "family": arm.family, "branches": arm.branches}
     poses = ikjax.robots.poses(options.arm) if options.arm in ikjax.robots.names() else {}
     stands = {name: np.asarray(ikjax.fk(arm, q))[:3, 3].tolist() for name, q in poses.items()}
-    lines = [str(arm), "", ikjax.explain(arm)]
+    lines = [str(arm), "", in_flags(options, ikjax.explain(arm))]
     if poses:  # a URDF file names none
         lines.append(f"Named poses ({len(poses)}):")
     for name, q in poses.items():
@@ -40,13 +40,14 @@ def _row(values) -> str:
 
 def run_solve(options) -> int:
     dtype = np.float32 if options.other_dtype else np.float64
-    arm = recipe.find_arm(options.arm)
-    goal = ikjax.pose(options.xyz, rpy=options.rpy, wxyz=options.wxyz, dtype=dtype)
+    arm = recipe.find_arm(options.arm, **file_options(options))
+    turn = {form: getattr(options, form) for form in ("rpy", "wxyz", "xyzw", "rotvec")}
+    goal = ikjax.pose(options.xyz, **turn, dtype=dtype)
     ikjax.check_goals(arm, goal)
     sol = ikjax.solve(arm, goal, q_now=options.q_now)
     inside = ikjax.within_limits(arm, sol)
-    turn = ("rad", 1.0, 4) if options.radians else ("deg", 180 / np.pi, 2)
-    units = [turn if kind == "R" else ("mm", 1000.0, 1) for kind in arm.kinds]
+    angle = ("rad", 1.0, 4) if options.radians else ("deg", 180 / np.pi, 2)
+    units = [angle if kind == "R" else ("mm", 1000.0, 1) for kind in arm.kinds]
     rows = []
     for slot, name in enumerate(arm.branches):
         rows.append(

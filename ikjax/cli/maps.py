@@ -10,7 +10,7 @@ import sys
 import jax
 
 import ikjax
-from ikjax.cli.say import complain, plain
+from ikjax.cli.say import FILE_OPTIONS, complain, file_options, plain
 from ikjax.cli.show import check_places, report
 from ikjax.study import recipe
 from ikjax.study.orientations import as_orientations
@@ -22,14 +22,14 @@ from ikjax.study.sweep import SweepStoppedError
 def _study(options) -> recipe.Recipe:
     """What is asked for, by a file or by options."""
     if options.arm.endswith(".toml"):
-        for name in ("spacing", "orientations", "other_dtype", "certify"):
+        for name in ("spacing", "orientations", "other_dtype", "certify", *FILE_OPTIONS):
             if getattr(options, name):
                 flag = "float64" if name == "other_dtype" else name
                 raise ValueError(f"--{flag} is for {options.arm} to say")
         return recipe.read(options.arm)
     if options.certify and options.other_dtype:
         raise ValueError("--certify is for float32 sweeps; --float64 needs none")
-    arm = recipe.find_arm(options.arm)
+    arm = recipe.find_arm(options.arm, **file_options(options))
     orientations = 512 if options.orientations is None else options.orientations
     positions = ikjax.around(arm, options.spacing or 0.05)
     dtype = "float64" if options.other_dtype else "float32"

@@ -4,7 +4,10 @@ Outside the storeys.
 """
 
 import json
+import re
 import sys
+
+FILE_OPTIONS = ("base", "tip", "tolerance")
 
 
 def say(options, text: str, data: dict) -> None:
@@ -14,6 +17,18 @@ def say(options, text: str, data: dict) -> None:
 def complain(message: object) -> None:
     """One line on stderr."""
     print(f"ikjax: {plain(' '.join(str(message).split()))}", file=sys.stderr)
+
+
+def file_options(options) -> dict:
+    """What was said of a robot file."""
+    return {key: getattr(options, key) for key in FILE_OPTIONS}
+
+
+def in_flags(options, text: str) -> str:
+    """The library's text with --tip for tip=, where that is an option."""
+    if not hasattr(options, "tip") or str(options.arm).endswith(".toml"):
+        return text
+    return re.sub(rf"\b({'|'.join(FILE_OPTIONS)})=(:?)", lambda m: f"--{m[1]}{m[2] or ' '}", text)
 
 
 def plain(text: str) -> str:

@@ -15,6 +15,8 @@ from ikjax.cli.say import plain
 from ikjax.cli.show import run_show
 from ikjax.study.stop import OTHERS_ENDED, TIME_IS_UP
 
+ARM = "an arm of the catalogue, or a URDF file"
+
 SWEEP_ENDS = f"""\
 Beside a map in a folder lies its diary, MAP.log. Exit codes:
   0    swept, and something is reached
@@ -60,14 +62,18 @@ def parser() -> argparse.ArgumentParser:
         return parser
 
     info = command(run_info, "info", "List the catalogue, or describe one arm.")
-    info.add_argument("arm", nargs="?")
+    info.add_argument("arm", nargs="?", help=ARM)
+    _add_file_options(info)
 
     solve = command(run_solve, "solve", "Every branch of one goal.")
-    solve.add_argument("arm")
+    solve.add_argument("arm", help=ARM)
+    _add_file_options(solve)
     solve.add_argument("--xyz", nargs=3, type=float, required=True, metavar=("X", "Y", "Z"), help="[m]")
     turn = solve.add_mutually_exclusive_group()
     turn.add_argument("--rpy", nargs=3, type=float, metavar=("R", "P", "Y"), help="[rad]")
     turn.add_argument("--wxyz", nargs=4, type=float, metavar=("W", "X", "Y", "Z"))
+    turn.add_argument("--xyzw", nargs=4, type=float, metavar=("X", "Y", "Z", "W"))
+    turn.add_argument("--rotvec", nargs=3, type=float, metavar=("X", "Y", "Z"), help="[rad]")
     solve.add_argument("--q-now", nargs="+", type=float, help="joints [rad] that arbitrary ones follow")
     solve.add_argument("--limits", action="store_true", help="only what is within the joint limits counts")
     solve.add_argument("--radians", action="store_true", help="print radians, not degrees")
@@ -76,7 +82,8 @@ def parser() -> argparse.ArgumentParser:
     sweep = command(run_sweep, "sweep", "Sweep an arm's workspace: a map, a picture, a summary.")
     sweep.formatter_class = argparse.RawDescriptionHelpFormatter
     sweep.epilog = SWEEP_ENDS
-    sweep.add_argument("arm", metavar="ARM|STUDY.toml", help="an arm, a URDF file, or a file that says all")
+    sweep.add_argument("arm", metavar="ARM|STUDY.toml", help=f"{ARM}, or a file that says all")
+    _add_file_options(sweep)
     sweep.add_argument("--spacing", type=_size, help="between positions [m], 0.05 by default")
     sweep.add_argument("--orientations", type=int, help="even ones at every position, 512 by default")
     sweep.add_argument("--out", help="store the map here: a folder (zarr v3), or a URL such as s3://...")
@@ -101,13 +108,20 @@ def parser() -> argparse.ArgumentParser:
     show.add_argument("--port", type=int, default=8080, help="of the viewer, 8080 by default")
 
     verify = command(run_verify, "verify", "Solve goals made by an arm's own joints and judge every answer.")
-    verify.add_argument("arm", nargs="*", help="all of the catalogue by default")
+    verify.add_argument("arm", nargs="*", help=f"{ARM}; all of the catalogue by default")
+    _add_file_options(verify)
     verify.add_argument("-n", type=_count, default=100_000, dest="count", help="random goals an arm")
     verify.add_argument("--out", help="write the table here, as Markdown")
     _add_dtype(verify, "--float32")
 
     command(run_doctor, "doctor", "Versions, devices, and a numeric self-check on this device.")
     return top
+
+
+def _add_file_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--base", metavar="LINK", help="where a file's arm begins; by default the root")
+    parser.add_argument("--tip", metavar="LINK", help="where it ends; by default the one leaf")
+    parser.add_argument("--tolerance", type=float, help="how far its axes may be off, 1e-5 by default")
 
 
 def _add_dtype(parser: argparse.ArgumentParser, flag: str) -> None:

@@ -15,6 +15,10 @@ import numpy as np
 from ikjax.core import safe, vector
 from ikjax.core.trig import Scalar, atan2, sincos
 from ikjax.core.vector import Matrix, Vector
+from ikjax.core.warn import warn_of_degrees
+
+NEAREST_WITHIN = 1e-2
+"""The norm of R^T R - I up to which a matrix stands for the rotation nearest to it."""
 
 
 class Pose(NamedTuple):
@@ -87,6 +91,12 @@ def pose_error(first, second) -> tuple[jax.Array, jax.Array]:
     """
     first, second = jnp.broadcast_arrays(jnp.asarray(first), jnp.asarray(second))
     return difference(from_matrix(first), from_matrix(second))
+
+
+def _floating(*values):
+    """The floating type that values give; whole numbers have no say."""
+    arrays = map(jnp.asarray, values)
+    return jnp.result_type(float, *(x for x in arrays if jnp.issubdtype(x.dtype, jnp.inexact)))
 
 
 def _components(name: str, value, count: int, dtype) -> tuple[jax.Array, ...]:
@@ -171,56 +181,133 @@ def turn_of(m: Matrix, hold: Callable[[Scalar], Scalar] = lambda x: x) -> Turn:
     return Turn(tuple(hold(factor * c) for c in rest), shrink, bend)
 
 
-def pose(xyz=(0.0, 0.0, 0.0), *, rpy=None, wxyz=None, matrix=None, dtype=None) -> jax.Array:
+def from_rotation_vector(v: Vector) -> Matrix:
+    """The rotation about a vector by its length [rad]; its derivatives have their limits at zero.
+
+    Source: the exponential of a rotation; Sola et al., A micro Lie theory (2018), (132)-(133).
+    """
+    square = vector.dot(v, v)
+    # Where the angle is so small, the first terms of its series are exact.
+    small = square < jnp.finfo(square.dtype).eps
+    angle = safe.sqrt(jnp.where(small, 1, square))
+    sine, cosine = sincos(angle / 2)
+    factor = jnp.where(small, (1 - square / 24) / 2, sine / angle)
+    return from_quaternion((jnp.where(small, 1 - square / 8, cosine), *vector.scale(factor, v)))
+
+
+def pose(
+    xyz=None, *, rpy=None, wxyz=None, xyzw=None, rotvec=None, matrix=None, orthonormalize=False, dtype=None
+) -> jax.Array:
     """A pose as (..., 4, 4), from a position and at most one form of orientation.
 
     Args:
-        xyz: Position [m], (..., 3).
+        xyz: Position [m], (..., 3); by default that of a (..., 4, 4) `matrix`, else zero.
         rpy: Roll, pitch, yaw about the fixed axes x, y, z in that order [rad], (..., 3):
             R = Rz(yaw) Ry(pitch) Rx(roll).
         wxyz: Quaternion, (..., 4), scalar first. Its length may be off by 1e-3.
-        matrix: Rotation, (..., 3, 3).
+        xyzw: The same with the scalar last.
+        rotvec: Rotation vector [rad], (..., 3): the axis, as long as the angle.
+        matrix: Rotation, (..., 3, 3), or whole pose, (..., 4, 4); taken as it is.
+        orthonormalize: Replace the rotation of `matrix`, which may be off by 1e-2 (the norm of
+            R^T R - I), by the nearest one. What is traced and off by more is left as it is: `solve` masks it.
         dtype: Of the result; by default what the inputs give.
 
     Raises:
-        ValueError: Wrong shapes, more than one orientation, a quaternion of length far from 1.
+        ValueError: Wrong shapes, more than one orientation or position, a quaternion of length far
+            from 1, a bottom row other than (0, 0, 0, 1), a matrix too far from a rotation to orthonormalize.
+
+    Warns:
+        Where an angle is beyond a turn, as degrees are.
     """
-    given = {"rpy": rpy, "wxyz": wxyz, "matrix": matrix}
+    given = {"rpy": rpy, "wxyz": wxyz, "xyzw": xyzw, "rotvec": rotvec, "matrix": matrix}
     given = {name: value for name, value in given.items() if value is not None}
     if len(given) > 1:
         raise ValueError(f"give one orientation, got {' and '.join(given)}")
+    if orthonormalize and matrix is None:
+        raise ValueError("orthonormalize goes with matrix=, which is not given")
+    form, value = next(iter(given.items()), ("", ()))
     if dtype is None:
-        dtype = jnp.result_type(float, *(jnp.asarray(v) for v in (xyz, *given.values())))
-    position = _components("xyz", xyz, 3, dtype)
-    if rpy is not None:
-        rotation = _from_rpy(_components("rpy", rpy, 3, dtype))
-    elif wxyz is not None:
-        _check_quaternion(wxyz)
-        rotation = from_quaternion(_components("wxyz", wxyz, 4, dtype))
-    elif matrix is not None:
-        matrix = jnp.asarray(matrix, dtype)
-        if matrix.shape[-2:] != (3, 3):
-            raise ValueError(f"matrix must have shape (..., 3, 3), got {matrix.shape}")
-        rotation = tuple(tuple(matrix[..., i, j] for j in range(3)) for i in range(3))
+        dtype = _floating(*(v for v in (xyz, *given.values()) if v is not None))
+    position = None if xyz is None else _components("xyz", xyz, 3, dtype)
+    if form == "rpy":
+        rotation = _from_rpy(_angles(form, value, dtype))
+    elif form == "rotvec":
+        rotation = from_rotation_vector(_angles(form, value, dtype))
+    elif form in ("wxyz", "xyzw"):
+        quaternion = _components(form, value, 4, dtype)
+        if not isinstance(quaternion[0], jax.core.Tracer):  # `solve` masks what is no rotation
+            _check_quaternion(form, value)
+        rotation = from_quaternion(quaternion if form == "wxyz" else (quaternion[3], *quaternion[:3]))
+    elif form == "matrix":
+        rotation, its_own = _from_array(value, orthonormalize, dtype)
+        if its_own is not None and position is not None:
+            raise ValueError("give one position: matrix of shape (..., 4, 4) holds one, and xyz is another")
+        position = its_own if position is None else position
     else:
         rotation = tuple(tuple(jnp.asarray(c, dtype) for c in row) for row in vector.IDENTITY)
+    if position is None:
+        position = tuple(jnp.zeros_like(rotation[0][0]) for _ in range(3))
     return to_matrix(Pose(rotation, position))
 
 
-def _check_quaternion(wxyz) -> None:
-    if isinstance(wxyz, jax.core.Tracer):
-        return  # values are unknown while tracing; `solve` masks what is no rotation
-    length = np.linalg.norm(np.asarray(wxyz, float), axis=-1)
+def _angles(name: str, value, dtype) -> Vector:
+    angles = _components(name, value, 3, dtype)
+    warn_of_degrees(name, value)
+    return angles
+
+
+def _from_array(value, orthonormalize: bool, dtype) -> tuple[Matrix, Vector | None]:
+    """The rotation of a (..., 3, 3) or (..., 4, 4) array, and the position of the latter."""
+    array = jnp.asarray(value, dtype)
+    if array.shape[-2:] not in ((3, 3), (4, 4)):
+        raise ValueError(f"matrix must have shape (..., 3, 3) or (..., 4, 4), got {array.shape}")
+    whole = array.shape[-1] == 4
+    known = None if isinstance(array, jax.core.Tracer) else np.asarray(value, float)
+    if whole and known is not None and not np.allclose(known[..., 3, :], (0, 0, 0, 1), atol=1e-9):
+        raise ValueError("matrix must have bottom rows (0, 0, 0, 1): transposed?")
+    rotation = tuple(tuple(array[..., i, j] for j in range(3)) for i in range(3))
+    if orthonormalize:
+        if known is not None:
+            _check_rotation(known[..., :3, :3])
+        near = vector.orthonormality_error(rotation) <= NEAREST_WITHIN
+        # The iteration overflows far from a rotation, where its derivative would be NaN.
+        nearest = vector.nearest_rotation(_choose(near, rotation, vector.IDENTITY))
+        rotation = _choose(near, nearest, rotation)
+    return rotation, tuple(array[..., i, 3] for i in range(3)) if whole else None
+
+
+def _choose(which: jax.Array, first: Matrix, second: Matrix) -> Matrix:
+    """The first matrix where `which` is true, else the second."""
+    rows = zip(first, second, strict=True)
+    return tuple(tuple(jnp.where(which, u, v) for u, v in zip(*pair, strict=True)) for pair in rows)
+
+
+def _check_rotation(matrix: np.ndarray) -> None:
+    gap = np.linalg.norm(np.swapaxes(matrix, -1, -2) @ matrix - np.eye(3), axis=(-2, -1))
+    worst = float(np.max(gap, initial=0.0))
+    if not worst <= NEAREST_WITHIN:
+        raise ValueError(
+            f"matrix must be a rotation within {NEAREST_WITHIN:g}, its R^T R - I has norm {worst:.2g}"
+        )
+    if np.any(np.linalg.det(matrix) < 0):
+        raise ValueError("matrix must be a rotation, got a reflection (determinant -1)")
+
+
+def _check_quaternion(name: str, value) -> None:
+    length = np.linalg.norm(np.asarray(value, float), axis=-1)
     worst = float(np.max(np.abs(length - 1), initial=0.0))
     if not worst <= 1e-3:
-        raise ValueError(f"wxyz must have length 1 within 1e-3, it is off by {worst:.2g}")
+        raise ValueError(f"{name} must have length 1 within 1e-3, it is off by {worst:.2g}")
 
 
 def planar_pose(x, y, phi, *, dtype=None) -> jax.Array:
     """The goal (x, y, phi) of a planar arm as (..., 4, 4): position [m], a turn phi about z [rad]."""
-    x, y, phi = jnp.broadcast_arrays(*(jnp.asarray(v, dtype) for v in (x, y, phi)))
-    zero = jnp.zeros_like(x)
-    return pose(jnp.stack([x, y, zero], axis=-1), rpy=jnp.stack([zero, zero, phi], axis=-1), dtype=dtype)
+    warn_of_degrees("phi", phi)
+    if dtype is None:
+        dtype = _floating(x, y, phi)
+    sine, cosine = sincos(jnp.asarray(phi, dtype))
+    position = (jnp.asarray(x, dtype), jnp.asarray(y, dtype), 0.0)
+    return to_matrix(Pose(((cosine, -sine, 0.0), (sine, cosine, 0.0), (0.0, 0.0, 1.0)), position))
 
 
 def position(x, y, z, *, dtype=None) -> jax.Array:

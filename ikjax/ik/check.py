@@ -3,19 +3,21 @@
 Storey: ik. Host side: both look at values.
 """
 
-import warnings
-
 import jax
 import numpy as np
 
 from ikjax.arm import structure
 from ikjax.arm.arm import Arm
-from ikjax.ik.solve import as_goals, what_was_found
+from ikjax.core.pose import NEAREST_WITHIN
+from ikjax.core.warn import warn
+from ikjax.ik.refusal import refusal, what_was_found
+from ikjax.ik.solve import as_goals
 from ikjax.solvers import FAMILIES
 from ikjax.solvers.family import ROTATION_TOLERANCE, reach
 
-FAR = 1000
-"""Goals beyond so many reaches are taken for millimetres."""
+FAR = 10
+"""Goals beyond so many reaches are taken for millimetres: one within reach is, in millimetres, a hundred
+reaches away or more, unless it is within a hundredth of the reach of the base."""
 
 
 def check_goals(arm: Arm, goals) -> None:
@@ -30,7 +32,7 @@ def check_goals(arm: Arm, goals) -> None:
             whose rotation is off by more than 1e-5, with what was found.
 
     Warns:
-        Where a goal lies a thousand reaches away.
+        Where a goal lies ten reaches from the base, as one in millimetres does.
     """
     if isinstance(goals, jax.core.Tracer):
         raise ValueError("check_goals looks at values, so it cannot stand inside jit, vmap or grad")
@@ -58,19 +60,21 @@ def check_goals(arm: Arm, goals) -> None:
     bad = ~(error <= ROTATION_TOLERANCE)
     if bad.any():
         name, _ = first(bad)
-        raise ValueError(f"{name} must hold a rotation, its R^T R - I has norm {error[bad][0]:.1g}")
+        rounded = error[bad][0] <= NEAREST_WITHIN
+        remedy = ": take the nearest with pose(matrix=..., orthonormalize=True)" if rounded else ""
+        raise ValueError(f"{name} must hold a rotation, its R^T R - I has norm {error[bad][0]:.1g}{remedy}")
     bad = np.linalg.det(rotation) < 0
     if bad.any():
         name, _ = first(bad)
         raise ValueError(f"{name} must hold a rotation, got a reflection (determinant -1)")
-    far = np.linalg.norm(flat[:, :3, 3], axis=1) > FAR * float(reach(arm.baked()))
-    if far.any():
-        name, goal = first(far)
-        distance = np.linalg.norm(goal[:3, 3])
-        warnings.warn(
-            f"{name} lies {distance:.4g} m away, the arm reaches {float(reach(arm.baked())):.3g} m: "
-            "are these millimetres?",
-            stacklevel=2,
+    within = float(reach(arm.baked()))
+    distance = np.linalg.norm(flat[:, :3, 3] - np.asarray(arm.base, float)[:3, 3], axis=1)
+    far = distance > FAR * within
+    if far.any() and within > 0:
+        name, _ = first(far)
+        warn(
+            f"{name} lies {distance[far][0]:.4g} m from the base, the arm reaches {within:.3g} m: "
+            "are these millimetres?"
         )
 
 
@@ -90,7 +94,7 @@ _SCATTERED = f"project starts from 64 fixed joints spread over the limits: {_BOT
 def explain(arm: Arm) -> str:
     """Which closed form solves the arm, why, and what its branches are, as text to print."""
     if arm.family is None:
-        return f"{arm.name} has no closed form here.\n{what_was_found(arm)}\n{_SCATTERED}"
+        return f"{refusal(arm)}.\n{what_was_found(arm)}\n{_SCATTERED}"
     rule = structure.RULES[arm.family]
     lines = [f"{arm.name} is solved by {arm.family}: {rule.summary}.", "Because:"]
     numbers = {key: np.asarray(getattr(arm, key)) for key in ("a", "alpha", "d", "theta", "tool")}

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import whole_turns
 from ikjax.core.trig import wrap
+from ikjax.core.warn import MOST_TURNS, warn_of_degrees
 from ikjax.ik.solutions import Solutions
 
 TURN = 2 * math.pi
@@ -52,7 +53,8 @@ def nearest(arm: Arm, sol: Solutions, q_now, weights=None) -> tuple[jax.Array, j
     Args:
         arm: The arm.
         sol: From `solve`, perhaps through `within_limits`.
-        q_now: Where the arm is, (..., n); any number of turns away.
+        q_now: Where the arm is, (..., n); any number of turns away. Where a turning joint is beyond
+            four turns, a warning asks whether these are degrees.
         weights: (n,) non-negative factors on the moves, one by default.
 
     Returns:
@@ -65,6 +67,7 @@ def nearest(arm: Arm, sol: Solutions, q_now, weights=None) -> tuple[jax.Array, j
     q_now = jnp.asarray(q_now, sol.q.dtype)
     if q_now.ndim == 0 or q_now.shape[-1] != arm.n:
         raise ValueError(f"q_now must have shape (..., {arm.n}), got {q_now.shape}")
+    warn_of_degrees("q_now", q_now, MOST_TURNS, arm.kinds)
     weights = jnp.ones(arm.n, sol.q.dtype) if weights is None else jnp.asarray(weights, sol.q.dtype)
     if weights.shape != (arm.n,):
         raise ValueError(f"weights must have shape ({arm.n},), got {weights.shape}")

@@ -13,12 +13,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ikjax.arm import structure
 from ikjax.arm.arm import Arm
 from ikjax.core.known import as_array, is_traced, stop_gradient
+from ikjax.core.warn import MOST_TURNS, warn_of_degrees
 from ikjax.ik import blocks
 from ikjax.ik.graph import solve_here
 from ikjax.ik.implicit import with_slopes
+from ikjax.ik.refusal import refusal
 from ikjax.ik.solutions import Solutions
 
 
@@ -32,7 +33,8 @@ def solve(
         goals: T_world_tool, (..., 4, 4), float32 or float64; the answer has its type. A goal that is
             not finite, or whose rotation is off by more than 1e-5, is masked; its neighbours are not
             touched.
-        q_now: (..., n) joint values that a joint follows where it is arbitrary; zero by default.
+        q_now: (..., n) joint values that a joint follows where it is arbitrary; zero by default. Where a
+            turning one is beyond four turns, a warning asks whether these are degrees.
         tolerance: How far a valid pose may be from its goal, [rad] and as a share of
             (reach + |p|); 1e-9 in float64 and 2e-5 in float32 by default.
         damping: Of slopes near singularities, as a singular value of the Jacobian in reaches: where the
@@ -55,6 +57,7 @@ def solve(
         q_now = as_array(q_now, goals.dtype)
         if q_now.ndim == 0 or q_now.shape[-1] != arm.n:
             raise ValueError(f"q_now must have shape (..., {arm.n}), got {q_now.shape}")
+        warn_of_degrees("q_now", q_now, MOST_TURNS, arm.kinds)
         try:
             q_now = jnp.broadcast_to(q_now, (*batch, arm.n))
         except ValueError as error:
@@ -85,24 +88,7 @@ def check_family(arm: Arm) -> None:
     """Raise unless a closed form is known for the arm."""
     if arm.family is not None:
         return
-    raise ValueError(f"{arm.name} has no closed form here. {what_was_found(arm)}")
-
-
-def what_was_found(arm: Arm) -> str:
-    """The arm's axes in words, and what keeps it out of every family."""
-    if isinstance(arm.alpha, jax.core.Tracer):
-        return "Families: " + ", ".join(structure.RULES)
-    numbers = {key: np.asarray(getattr(arm, key)) for key in ("a", "alpha", "d", "theta", "tool")}
-    tolerance = structure.tolerance_of(arm.dtype)
-    verdict = structure.recognise(arm.kinds, numbers, tolerance=tolerance)
-    axes = structure.found(arm.kinds, numbers, tolerance)
-    lines = [f"Found: joints {arm.kinds}; {axes}.", "Families:"]
-    for name, rule in structure.RULES.items():
-        lines.append(f"  {name}: {rule.summary}.")
-        if name not in verdict.evidence:
-            continue
-        lines.append(f"    Not this arm: {structure.describe(verdict.evidence[name])}.")
-    return "\n".join(lines)
+    raise ValueError(refusal(arm))
 
 
 _ACCEPTED = (jnp.float32, jnp.float64)

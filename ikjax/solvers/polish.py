@@ -44,8 +44,8 @@ def stages_and_steps(off: Scalar, tolerance: float) -> tuple[int, int]:
     """How many stages of how many Newton steps bring an arm that is off by so much within a tolerance.
 
     Away from folds each step squares the error, so that two are enough for a thousandth. Beside a fold the
-    start is off by the square root of what the arm is off by, each step halves that, and the pose's error goes with
-    its square. The second stage parts two slots that went to one answer.
+    start is off by the square root of what the arm is off by, each step halves that, and the pose's error
+    goes with its square. The second stage parts two slots that went to one answer.
     """
     if not isinstance(off, float):
         return 2, STEPS

@@ -3,7 +3,10 @@
 Storey: study. A file is data: what it does not know it refuses, and a path in it is read from the file's
 own folder.
 
-    arm = "puma560"                 # of the catalogue, or a URDF file
+    arm = "puma560"                 # of the catalogue, or a URDF file, and for a file
+    base = "base_link"              # the link it starts from, by default the root
+    tip = "tool0"                   # the link it ends at, by default the one leaf
+    tolerance = 1e-3                # see `Arm.from_urdf`
     spacing = 0.03                  # [m]
     orientations = 512              # even ones; or { wxyz = [[1, 0, 0, 0], ...] } or { hopf = 2 } or
                                     # { cone = { direction = [0, 0, -1], half_angle = 0.5, directions = 64 } }
@@ -19,6 +22,7 @@ own folder.
 """
 
 import dataclasses
+import os
 import pathlib
 import tomllib
 from typing import Any, NamedTuple
@@ -36,7 +40,7 @@ from ikjax.study.statistics import available
 from ikjax.study.surface import Surface, surface
 
 KEYS = (
-    *("arm", "spacing", "orientations", "rolls", "bounds", "shell", "surface"),
+    *("arm", "base", "tip", "tolerance", "spacing", "orientations", "rolls", "bounds", "shell", "surface"),
     *("limits", "statistics", "chunk", "dtype", "certify"),
 )
 LARGEST = 2**24
@@ -77,11 +81,39 @@ def read(path) -> Recipe:
         raise ValueError(f"{path}: {error}") from error
 
 
-def find_arm(name: str, folder: pathlib.Path | None = None) -> Arm:
-    """An arm of the catalogue, or of a URDF file."""
-    if not name.endswith(".urdf"):
+def find_arm(
+    name: str,
+    folder: pathlib.Path | None = None,
+    *,
+    base: str | None = None,
+    tip: str | None = None,
+    tolerance: float | None = None,
+) -> Arm:
+    """An arm of the catalogue, or of a URDF file.
+
+    What is not in the catalogue and exists as a file, or ends in .urdf or .xml, is a file's name.
+
+    Args:
+        name: Of the arm or the file.
+        folder: Where the file's name counts from.
+        base, tip, tolerance: As in `Arm.from_urdf`.
+
+    Raises:
+        ValueError: Neither a file nor a name of the catalogue, or an option of files for the latter.
+        OSError: The file cannot be read.
+    """
+    options: dict[str, Any] = {"base": base, "tip": tip, "tolerance": tolerance}
+    options = {key: value for key, value in options.items() if value is not None}
+    path = pathlib.Path(name) if folder is None else folder / name
+    known = name in robots.names()
+    if not known and (name.lower().endswith((".urdf", ".xml")) or os.path.isfile(path)):
+        return Arm.from_urdf(path, **options)
+    if known and options:
+        raise ValueError(f"{'= and '.join(options)}= goes with a URDF file, {name} is of the catalogue")
+    try:
         return robots.get(name)
-    return Arm.from_urdf(pathlib.Path(name) if folder is None else folder / name)
+    except ValueError as error:
+        raise ValueError(f"no such file, and {error}") from None
 
 
 def _understood(said: dict, folder: pathlib.Path) -> Recipe:
@@ -93,7 +125,11 @@ def _understood(said: dict, folder: pathlib.Path) -> Recipe:
             raise ValueError(f"{key} is missing")
     if not isinstance(said["arm"], str):
         raise ValueError(f'arm must be a name or a file, as in "puma560", got {said["arm"]!r}')
-    arm = _limited(find_arm(said["arm"], folder), said.get("limits"))
+    for key, kind in {"base": _is_text, "tip": _is_text, "tolerance": _is_number}.items():
+        if key in said and not kind(said[key]):
+            raise ValueError(f"{key} is of the wrong kind: {said[key]!r}")
+    ends = {key: said.get(key) for key in ("base", "tip", "tolerance")}
+    arm = _limited(find_arm(said["arm"], folder, **ends), said.get("limits"))
     positions = _positions(said, arm, folder)
     statistics, known = said.get("statistics", list(STATISTICS)), available(arm)
     if not isinstance(statistics, list) or not all(name in known for name in statistics) or not statistics:
@@ -167,7 +203,7 @@ def _limited(arm: Arm, limits) -> Arm:
         limits = np.tile([-np.inf, np.inf], (arm.n, 1))
     else:
         limits = _numbers("limits", limits, (arm.n, 2))
-    return dataclasses.replace(arm, limits=dh.check_limits(limits, arm.n))
+    return dataclasses.replace(arm, limits=dh.check_limits(limits, arm.kinds))
 
 
 def _orientations(said) -> Any:

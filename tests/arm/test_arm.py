@@ -50,6 +50,38 @@ def awkward():
     )
 
 
+SUSPECT = [
+    ({"alpha": [90, 0, -90, 90, -90, 0]}, "alpha holds 90 rad, which is 14.3 turns: degrees?"),
+    ({"theta": [0, 0, 180, 0, 0, 0]}, "theta holds 180 rad, which is 28.6 turns: degrees?"),
+    ({"limits": [(-185, 185)] * 6}, "limits holds 185 rad, which is 29.4 turns: degrees?"),
+    ({"limits": [(-1, 1)] * 5 + [(-400, math.inf)]}, "limits holds 400 rad, which is 63.7 turns: degrees?"),
+    ({"a": [0, 431.8, 20.3, 0, 0, 0]}, "a adds up to 452.1 m: millimetres?"),
+    ({"d": [0, 0, 150.05, 431.8, 0, 0]}, "d adds up to 581.9 m: millimetres?"),
+]
+
+
+@pytest.mark.parametrize(
+    ("change", "text"), SUSPECT, ids=lambda x: "" if isinstance(x, str) else next(iter(x))
+)
+def test_a_table_in_degrees_or_millimetres_is_noticed_once(change, text):
+    with pytest.warns(UserWarning) as seen:
+        Arm.from_dh(**{**PUMA, **change})
+    assert [str(w.message) for w in seen] == [text] and seen[0].filename == __file__
+
+
+@pytest.mark.filterwarnings("error")
+def test_turns_and_arms_of_the_catalogue_are_not_taken_for_degrees():
+    Arm.from_dh(**{**PUMA, "theta": [2 * math.pi] * 6, "limits": [(-4 * math.pi, 4 * math.pi)] * 6})
+    # Calibrated: nearly parallel axes have their common normal far away, and come back.
+    Arm.from_dh(**{**PUMA, "d": [0.1, 439.1, -439.2, 0.4, 0, 0]})
+    Arm.from_dh(a=[1], alpha=[0], d=[0], kinds="P", limits=[(-400, 400)], convention="standard")
+    jax.eval_shape(
+        lambda theta: Arm.from_dh(**PUMA, theta=theta, family="ortho_parallel_wrist"), np.full(6, 90.0)
+    )
+    for name in ikjax.robots.names():
+        ikjax.robots.get(name)
+
+
 MISTAKES = [
     ({"a": put(PUMA["a"], 2, math.nan)}, r"a\[2\] \(joint 3\) must be a finite number, got nan"),
     ({"d": put(PUMA["d"], 0, -math.inf)}, r"d\[0\] \(joint 1\) must be a finite number, got -inf"),

@@ -5,6 +5,7 @@ import re
 import socket
 import sys
 import time
+import warnings
 
 import numpy as np
 import pytest
@@ -151,7 +152,10 @@ def test_a_branching_file_is_cut_to_the_chain_asked_for(ends, names):
         ({"base": "hand", "tip": "arm"}, 'tip link "arm" is not below base link "hand"'),
         ({"base": "arm", "tip": "camera"}, 'no moving joint between links "arm" and "camera"'),
         ({"base": "hand", "tip": "hand"}, "no moving joint"),
-        ({"tip": "right"}, '<joint name="follow">: a joint that mimics another is not supported'),
+        (
+            {"tip": "right"},
+            '<joint name="follow">: mimics "grip", no moving joint of the chain: choose base=',
+        ),
         ({"tip": "free"}, '<joint name="drift">: type "floating" must be one of fixed, revolute,'),
     ],
 )
@@ -241,6 +245,25 @@ def test_the_so101_is_read_with_its_rounded_angles():
     assert 3.6e-6 < abs(z[4] @ z[3]) < 3.8e-6
     np.testing.assert_allclose(z[0], [0, 0, -1], atol=3e-6)
     np.testing.assert_allclose(chain.tool[:3, 3], [-0.0079, -0.000218121, -0.0981274])
+
+
+def test_a_jaw_at_the_end_is_said_with_the_link_before_it():
+    text = robot(
+        link(*"abcd", "hand", "jaw", "tip"),
+        *(joint(p + c, p, c, "continuous") for p, c in ("ab", "bc", "cd")),
+        joint("roll", "d", "hand"),
+        joint("moving_jaw", "hand", "jaw"),
+        joint("end", "jaw", "tip", "fixed"),
+    )
+    with pytest.warns(UserWarning) as seen:
+        chain = read_chain(text)
+    assert [str(w.message) for w in seen] == [
+        '<string>:7: <joint name="moving_jaw">: looks like a gripper\'s: leave it out with tip="hand"'
+    ]
+    assert len(chain.joints) == 5 and seen[0].filename == __file__
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert len(read_chain(text, tip="hand").joints) == 4
 
 
 def test_a_path_text_and_bytes_read_the_same(tmp_path):
@@ -341,11 +364,11 @@ ATTACKS = {
     "too large": (robot("<!--" + " " * 2**24 + "-->"), "larger than 16 MB"),
     "long namespace, many attributes": (
         f'<robot xmlns:x="{"a" * 2**22}" {PREFIXED}/>',
-        "<robot> needs a name",
+        "<robot>: no links",
     ),
     "long namespace, many elements": (
         f'<robot xmlns="{"a" * 2**22}">{"".join(f"<a{i}/>" for i in range(90_000))}</robot>',
-        "<robot> needs a name",
+        "<robot>: no links",
     ),
     "many namespaces": (
         f"<robot {SPACES}>" + "<a>" * 62 + '<b xmlns:x=""/>' * 50_000,
@@ -440,11 +463,91 @@ def test_xacro_is_to_be_expanded_first(text):
     assert "expand xacro first" in refusal(one(f'<origin rpy="{text}"/>{LIMIT}'))
 
 
+XACRO = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
+UNUSED = {
+    "a property": '<xacro:property name="width" value=".2"/>',
+    "a property block": '<xacro:property name="o"><origin xyz="1 0 0"/></xacro:property>',
+    "an argument": '<xacro:arg name="x" default="1"/>',
+    "a property by another prefix": '<x:property xmlns:x="http://ros.org/wiki/xacro" name="w" value="1"/>',
+    "a macro that nothing calls": '<xacro:macro name="m"><link name="${p}"/><joint name="j" type="x">'
+    '<xacro:insert_block name="o"/></joint><xacro:m/></xacro:macro>',
+    "a call in an extension": '<gazebo><xacro:plugin name="${x}"/></gazebo>',
+    "a link of another namespace": '<link xmlns="http://x" name="a"/><y:link xmlns:y="http://y" name="z"/>',
+    "a material of a property": '<material name="${m}"><color rgba="${c}"/></material>',
+}
+
+
+@pytest.mark.parametrize("extra", UNUSED.values(), ids=UNUSED)
+def test_what_the_kinematics_do_not_use_is_passed_over(extra):
+    wanted = repr(read_chain(one()))
+    text = one().replace('name="test"', f'name="test" {XACRO}')
+    assert repr(read_chain(text.replace("</robot>", extra + "</robot>"))) == wanted
+    assert repr(read_chain(text.replace('"><link', f'">{extra}<link', 1))) == wanted
+
+
+def test_a_call_inside_a_link_is_passed_over():
+    inside = "<xacro:inertia mass='1'/><visual><xacro:if value='1'><x/></xacro:if></visual>"
+    assert len(read_chain(robot(link("a", "b", inside=inside), joint("j", "a", "b"))).joints) == 1
+
+
+USED = {
+    "an include": '<xacro:include filename="x"/>',
+    "a call": '<xacro:arm prefix="x"/>',
+    "a call by another prefix": '<x:arm xmlns:x="http://www.ros.org/wiki/xacro"/>',
+    "a condition": '<xacro:if value="1"><link name="c"/></xacro:if>',
+    "an element": '<xacro:element xacro:name="joint"/>',
+    "an old include": '<include filename="x"/>',
+    "a link of a property": '<link name="${x}"/>',
+    "a joint of a property": link("c") + joint("k", "a", "$(arg c)"),
+}
+
+
+@pytest.mark.parametrize("extra", USED.values(), ids=USED)
+def test_what_may_change_the_kinematics_is_to_be_expanded_first(extra):
+    assert "expand xacro first" in refusal(one().replace("</robot>", extra + "</robot>"))
+
+
+@pytest.mark.parametrize(
+    "inside", ['<xacro:insert_block name="origin"/>', '<xacro:if value="1"><origin xyz="1 0 0"/></xacro:if>']
+)
+def test_xacro_inside_a_joint_is_to_be_expanded_first(inside):
+    assert '<joint name="j">: <xacro:' in refusal(one(inside + LIMIT))
+    assert "expand xacro first" in refusal(one(inside + LIMIT))
+
+
+def test_names_on_the_chain_are_to_be_expanded_first():
+    assert "expand xacro first" in refusal(one().replace('name="j"', 'name="${j}"'))
+    assert "expand xacro first" in refusal(one().replace('"revolute"', '"${kind}"'))
+
+
+@pytest.mark.parametrize("inside", ["", '<limit effort="1" velocity="1"/>'])
+def test_a_revolute_joint_without_limits_is_unlimited_and_said(inside):
+    with pytest.warns(UserWarning, match=r'^<string>:3: <joint name="j">: no <limit> .* unlimited$') as seen:
+        (only,) = read_chain(one(inside)).joints
+    assert (only.lower, only.upper) == (-np.inf, np.inf)
+    assert len(seen) == 1 and seen[0].filename == __file__
+
+
+def test_only_a_joint_on_the_chain_needs_a_name_and_limits():
+    off = joint("", "b", "c", inside="").replace(' name=""', "") + joint("", "b", "d", inside="")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        chain = read_chain(robot(link(*"abcd"), joint("j", "a", "b"), off), tip="b")
+    assert [j.name for j in chain.joints] == ["j"]
+    assert "<joint>: <joint> needs a name" in refusal(
+        robot(link(*"abcd"), joint("j", "a", "b"), off), tip="c"
+    )
+
+
+@pytest.mark.parametrize("name", ["", ' name=""'])
+def test_a_robot_without_a_name_is_called_robot(name):
+    assert read_chain(one().replace(' name="test"', name)).name == "robot"
+
+
 def test_xacro_elements_are_to_be_expanded_first():
     space = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
     assert "expand xacro first" in refusal(robot(f'<xacro:include {space} filename="x"/>'))
     assert "expand xacro first" in refusal(robot('<include filename="x"/>'))
-    assert "expand xacro first" in refusal(robot('<xacro:property name="x" value="1"/>'))
 
 
 @pytest.mark.parametrize(
@@ -452,12 +555,12 @@ def test_xacro_elements_are_to_be_expanded_first():
     [
         (f'<axis xyz="0 0 -0.0"/>{LIMIT}', "revolute", "axis must not be zero"),
         (f"<axis/>{LIMIT}", "revolute", "<axis> needs a xyz"),
-        ("", "revolute", "a revolute joint needs a <limit>"),
         ("", "prismatic", "a prismatic joint needs a <limit>"),
         ('<limit lower="2" upper="1"/>', "revolute", "limit must have lower <= upper, got 2 and 1"),
         ('<limit lower="1"/>', "prismatic", "limit must have lower <= upper, got 1 and 0"),
         (f'<origin xyz="1e101 0 0"/>{LIMIT}', "revolute", "xyz of <origin> must be at most 1e+100 m"),
-        (f'{LIMIT}<mimic joint="k"/>', "revolute", "a joint that mimics another is not supported"),
+        (f"{LIMIT}<mimic/>", "revolute", "<mimic> needs a joint"),
+        (f'{LIMIT}<mimic joint="j"/>', "revolute", 'mimics "j", which mimics it'),
         (f"<origin/><origin/>{LIMIT}", "revolute", "duplicate <origin>, the first is on line 3"),
     ],
 )
@@ -467,10 +570,6 @@ def test_a_joint_that_is_not_plainly_right_is_refused(inside, kind, gist):
 
 STRUCTURE = {
     "another root": ("<sdf/>", "<string>:1: <sdf>: the root element must be <robot>"),
-    "a robot without a name": (
-        "<robot><link name='a'/></robot>",
-        "<string>:1: <robot>: <robot> needs a name",
-    ),
     "nothing": (b"", "<string>:1: broken XML: no element found"),
     "no element": ("<!-- -->", "<string>:1: broken XML: no element found"),
     "truncated": (one()[:-30], '<string>:3: <joint name="j">: broken XML: unclosed token'),

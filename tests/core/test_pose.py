@@ -1,4 +1,5 @@
 import math
+import warnings
 
 import jax
 import jax.numpy as jnp
@@ -48,6 +49,91 @@ def test_a_quaternion_has_its_scalar_first(axis):
     np.testing.assert_array_equal(ikjax.pose(wxyz=half), ikjax.pose(wxyz=-half))
 
 
+def test_a_quaternion_may_have_its_scalar_last(rng):
+    wxyz = rng.standard_normal((5, 4))
+    wxyz /= np.linalg.norm(wxyz, axis=1)[:, None]
+    np.testing.assert_array_equal(ikjax.pose(xyzw=np.roll(wxyz, -1, axis=1)), ikjax.pose(wxyz=wxyz))
+
+
+def test_a_rotation_vector_turns_about_itself_by_its_length(rng, dtype):
+    from scipy.spatial.transform import Rotation
+
+    # As a pendant of Universal Robots shows it, in degrees, and angles from tiny to more than a turn.
+    vectors = rng.standard_normal((8, 3))
+    vectors *= (
+        np.array([0, 1e-9, 1e-4, 1, 3, math.pi, 6, 6.2])[:, None] / np.linalg.norm(vectors, axis=1)[:, None]
+    )
+    vectors = np.concatenate([vectors, np.radians([[149.49, -12.78, 72.64]])])
+    got = ikjax.pose(rotvec=vectors.astype(dtype))
+    assert got.dtype == dtype
+    np.testing.assert_allclose(
+        got[:, :3, :3], Rotation.from_rotvec(vectors).as_matrix(), atol=12 * np.finfo(dtype).eps
+    )
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-12, 1e-8, 2e-8, 0.5, math.pi])
+def test_the_derivatives_of_a_rotation_vector_are_right_at_zero_and_everywhere(size):
+    def turned(v):
+        return ikjax.pose(rotvec=v)[:3, :3]
+
+    v = size * np.array([0.6, 0.0, 0.8])
+    forward, backward = jax.jacfwd(turned)(v), jax.jacrev(turned)(v)
+    h = 1e-6
+    for k, unit in enumerate(np.eye(3)):
+        wanted = (np.asarray(turned(v + h * unit)) - np.asarray(turned(v - h * unit))) / (2 * h)
+        np.testing.assert_allclose(forward[..., k], wanted, atol=1e-9)
+    np.testing.assert_allclose(backward, forward, atol=1e-15)
+    assert np.isfinite(jax.jacfwd(jax.jacrev(turned))(v)).all()
+
+
+def test_a_whole_pose_as_a_matrix_brings_its_position(rng):
+    given = random_poses(rng, 4)
+    np.testing.assert_array_equal(ikjax.pose(matrix=given), given)
+
+
+@pytest.mark.parametrize("digits", [3, 4, 6])
+def test_a_rounded_matrix_is_made_a_rotation_where_that_is_asked_for(rng, digits):
+    exact = random_poses(rng, 4)
+    rounded = np.round(exact, digits)
+    assert np.abs(ikjax.pose(matrix=rounded) - rounded).max() == 0
+    for given in (rounded, rounded[:, :3, :3]):
+        got = np.asarray(ikjax.pose(matrix=given, orthonormalize=True))
+        turn = got[:, :3, :3]
+        np.testing.assert_allclose(np.swapaxes(turn, 1, 2) @ turn, np.tile(np.eye(3), (4, 1, 1)), atol=1e-15)
+        u, _, v = np.linalg.svd(rounded[:, :3, :3])
+        np.testing.assert_allclose(turn, u @ v, atol=1e-14)
+        np.testing.assert_array_equal(got[:, :3, 3], given[:, :3, 3] if given.shape[-1] == 4 else 0)
+
+
+def test_under_jit_what_is_far_from_a_rotation_is_left_alone_with_finite_gradients(dtype):
+    def turned(matrix):
+        return ikjax.pose(matrix=matrix, orthonormalize=True)[..., :3, :3]
+
+    bad = np.stack([1e30 * np.ones((3, 3)), np.zeros((3, 3)), np.eye(3) * 1.001]).astype(dtype)
+    got, slopes = jax.jit(lambda m: (turned(m), jax.vmap(jax.jacrev(turned))(m)))(bad)
+    np.testing.assert_array_equal(got[:2], bad[:2])
+    np.testing.assert_allclose(got[2], np.eye(3), atol=4 * np.finfo(dtype).eps)
+    assert np.isfinite(slopes).all()
+
+
+@pytest.mark.parametrize("form", ["rpy", "rotvec"])
+def test_angles_in_degrees_are_noticed_and_turns_are_not(form):
+    with pytest.warns(UserWarning, match=rf"^{form} holds 180 rad, which is 28.6 turns: degrees\?$") as seen:
+        ikjax.pose(**{form: [[0, 0, 0], [180, 0, -90]]})
+    assert len(seen) == 1 and seen[0].filename == __file__
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        ikjax.pose(**{form: [2 * math.pi, -2 * math.pi, 1.0]})
+        jax.jit(lambda angles: ikjax.pose(**{form: angles}))(np.array([180.0, 0, 0]))
+        jax.vmap(lambda angle: ikjax.pose(**{form: [angle, 0.0, 0.0]}))(np.array([180.0, 0]))
+
+
+def test_a_planar_goal_in_degrees_is_noticed_by_the_name_of_its_angle():
+    with pytest.warns(UserWarning, match=r"^phi holds 90 rad") as seen:
+        ikjax.planar_pose(0.1, 0.2, [90, 1.0])
+    assert len(seen) == 1
+
+
 def test_a_rotation_matrix_is_taken_as_it_is():
     matrix = turn("y", 0.4)
     np.testing.assert_array_equal(ikjax.pose([1.0, 0, 0], matrix=matrix)[:3, :3], matrix)
@@ -84,8 +170,20 @@ def test_a_position_has_no_orientation_to_speak_of(dtype):
         ({"wxyz": np.zeros(4)}, "wxyz must have length 1 within 1e-3, it is off by 1"),
         ({"wxyz": np.array([1.01, 0, 0, 0])}, "off by 0.01"),
         ({"wxyz": np.array([np.nan, 0, 0, 0])}, "off by nan"),
-        ({"matrix": np.eye(4)}, r"matrix must have shape \(\.\.\., 3, 3\), got \(4, 4\)"),
-        ({"matrix": np.zeros(3)}, r"matrix must have shape \(\.\.\., 3, 3\), got \(3,\)"),
+        ({"xyzw": np.array([1.01, 0, 0, 0])}, "xyzw must have length 1 within 1e-3, it is off by 0.01"),
+        ({"rotvec": np.zeros(4)}, r"rotvec must have shape \(\.\.\., 3\), got \(4,\)"),
+        ({"rotvec": np.zeros(3), "matrix": np.eye(3)}, "give one orientation, got rotvec and matrix"),
+        ({"matrix": np.zeros((3, 4))}, r"matrix must have shape .*3, 3\) or .*4, 4\), got \(3, 4\)"),
+        ({"matrix": np.zeros(3)}, r"matrix must have shape .* got \(3,\)"),
+        ({"matrix": np.eye(4), "xyz": np.zeros(3)}, "give one position"),
+        ({"matrix": np.eye(4) + np.eye(4)[:, ::-1]}, "bottom rows .*: transposed"),
+        ({"orthonormalize": True}, "orthonormalize goes with matrix="),
+        (
+            {"matrix": 1.01 * np.eye(3), "orthonormalize": True},
+            r"within 0\.01, its R\^T R - I has norm 0\.035",
+        ),
+        ({"matrix": np.full((3, 3), np.nan), "orthonormalize": True}, "norm nan"),
+        ({"matrix": np.diag([1, 1, -1]), "orthonormalize": True}, "got a reflection"),
     ],
 )
 def test_a_mistake_is_named(given, text):

@@ -1,5 +1,8 @@
 """Every row of the table of goals in RELIABILITY: what is raised, what is masked, what is answered."""
 
+import warnings
+
+import jax
 import numpy as np
 import pytest
 
@@ -108,9 +111,64 @@ def test_the_host_check_counts_the_others():
         ikjax.check_goals(ARM, batch)
 
 
-def test_a_goal_a_thousand_reaches_away_warns_of_millimetres():
-    with pytest.warns(UserWarning, match="are these millimetres"):
-        ikjax.check_goals(ARM, changed(p=[1000 * 1.1, 0, 0]))
+@pytest.mark.parametrize("name", ["puma560", "ur5e", "so101", "gx4_351s", "planar_3r"])
+def test_every_reachable_goal_in_millimetres_is_noticed_and_none_in_metres(name, rng):
+    arm = ikjax.robots.get(name)
+    q = rng.uniform(-2, 2, (200, arm.n)) * np.where([kind == "R" for kind in arm.kinds], 1, 0.05)
+    goals = np.array(ikjax.fk(arm, q))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        ikjax.check_goals(arm, goals)
+    goals[:, :3, 3] *= 1000
+    for goal in goals:
+        with pytest.warns(UserWarning, match=r"^goals lies .* m from the base.*are these millimetres\?$"):
+            ikjax.check_goals(arm, goal)
+    with pytest.warns(UserWarning, match=r"goals\[0\] \(and 199 more\) lies") as seen:
+        ikjax.check_goals(arm, goals)
+    assert len(seen) == 1 and seen[0].filename == __file__
+
+
+@pytest.mark.filterwarnings("error")
+def test_goals_are_far_from_the_base_not_from_the_origin_of_the_world():
+    base = np.eye(4)
+    base[0, 3] = 500.0
+    arm = ikjax.Arm.from_dh(a=[0.5, 0.5], alpha=[0, 0], d=[0, 0], convention="standard", base=base)
+    ikjax.check_goals(arm, ikjax.fk(arm, np.array([0.3, 0.4])))
+
+
+def test_a_rounded_goal_is_refused_with_the_remedy_and_a_wild_one_without():
+    for size, remedy in ((1e-3, True), (0.1, False)):
+        with pytest.raises(ValueError, match=r"R\^T R - I has norm") as error:
+            ikjax.check_goals(ARM, changed(R=stretched(size)))
+        assert ("orthonormalize=True" in str(error.value)) == remedy
+    rounded = goal().round(3)
+    meant = ikjax.pose(matrix=rounded, orthonormalize=True)
+    ikjax.check_goals(ARM, meant)
+    assert solve(meant).valid.all()
+
+
+class TestDegrees:
+    """Joints given in degrees are noticed."""
+
+    def test_a_place_in_degrees_is_noticed_by_solve_and_nearest(self):
+        sol = solve(goal())
+        for call in (lambda q: ikjax.solve(ARM, goal(), q), lambda q: ikjax.nearest(ARM, sol, q)):
+            with pytest.warns(UserWarning, match=r"^q_now holds 45 rad.*degrees\?$") as seen:
+                call(np.array([0.0, -45.0, 90.0, 0.0, 30.0, 0.0]))
+            assert len(seen) == 1 and seen[0].filename == __file__
+
+    @pytest.mark.filterwarnings("error")
+    def test_turns_slides_and_traced_places_are_not(self):
+        sol = solve(goal())
+        ikjax.solve(ARM, goal(), np.full(6, 8 * np.pi))
+        ikjax.nearest(ARM, sol, np.full(6, -8 * np.pi))
+        jax.jit(lambda q: ikjax.nearest(ARM, sol, q))(np.full(6, 90.0))
+        place = goal()
+        jax.eval_shape(lambda q: ikjax.solve(ARM, place, q), np.full(6, 90.0))
+        captured = jax.numpy.zeros(6)
+        jax.eval_shape(lambda T: ikjax.solve(ARM, T, captured), place)
+        arm = ikjax.robots.get("gx4_351s")
+        ikjax.nearest(arm, ikjax.solve(arm, ikjax.fk(arm, np.zeros(4))), np.array([0.0, 0.0, -200.0, 0.0]))
 
 
 @pytest.mark.parametrize("tiny", [1e-308, 5e-324, -1e-300])

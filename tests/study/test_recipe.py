@@ -70,10 +70,32 @@ def test_a_urdf_file_is_looked_for_beside_the_study(read, tmp_path):
         read('arm = "mine.urdf"\nspacing = 0.5\norientations = 8')
 
 
+def test_a_study_names_the_ends_of_a_files_arm(read, tmp_path):
+    joint = '<joint name="j" type="continuous"><parent link="a"/><child link="b"/></joint>'
+    joint += '<joint name="{0}" type="fixed"><parent link="b"/><child link="{0}"/></joint>'.format("tool")
+    joint += '<joint name="{0}" type="fixed"><parent link="b"/><child link="{0}"/></joint>'.format("camera")
+    links = "".join(f'<link name="{name}"/>' for name in ("a", "b", "tool", "camera"))
+    (tmp_path / "mine.XML").write_text(f"<robot>{links}{joint}</robot>")
+    rest = 'arm = "mine.XML"\nspacing = 0.5\norientations = 8\n'
+    assert read(rest + 'base = "a"\ntip = "tool"\ntolerance = 1e-3').arm.n == 1
+    for text, says in {
+        "": "give one as tip=",
+        'tip = "hand"': 'tip="hand" is none of',
+        "tip = 3": "tip is of the wrong kind: 3",
+        'tip = "tool"\ntolerance = "x"': "tolerance is of the wrong kind",
+        'tip = "tool"\ntolerance = 0.5': "tolerance must be between 0 and 0.02",
+    }.items():
+        with pytest.raises(ValueError, match=r"study\.toml: ") as error:
+            read(rest + text)
+        assert says in str(error.value)
+    with pytest.raises(ValueError, match="tip= goes with a URDF file, ur5 is of the catalogue"):
+        read(SHORT + 'tip = "tool0"')
+
+
 @pytest.mark.parametrize(
     "text, says",
     [
-        (SHORT + "spacin = 1", "no key 'spacin'; the keys are arm, spacing, orientations, rolls"),
+        (SHORT + "spacin = 1", "no key 'spacin'; the keys are arm, base, tip, tolerance, spacing"),
         ('arm = "ur5"\nspacing = 0.5', "orientations is missing"),
         ("arm = 5\nspacing = 0.5\norientations = 8", "arm must be a name or a file"),
         ('arm = "nobody"\nspacing = 0.5\norientations = 8', "no robot 'nobody'"),

@@ -1,0 +1,144 @@
+"""Why an arm has no closed form, and what would help: one line for an error, or all that was found.
+
+Storey: ik. Host side: it looks at the arm's numbers.
+"""
+
+import math
+import re
+
+import numpy as np
+
+from ikjax.arm import dh, structure
+from ikjax.arm.arm import Arm
+from ikjax.arm.axes import Axes, rewritten, small_pose
+from ikjax.arm.facts import Check
+from ikjax.core.known import is_traced
+
+LADDER = ("1e-5", "1e-4", "1e-3", "0.01", "0.02")
+"""Tolerances of `Arm.from_dh` and `Arm.from_urdf` that are tried, up to the largest that they take."""
+
+SMALL = 1e-3
+"""Up to here the best family counts, which is the fastest; beyond, the least correction."""
+
+_SHARE = ", share of the reach"
+_REVERSED = "read from the tool to the base: "
+
+
+def refusal(arm: Arm) -> str:
+    """One line: the fact that fails and by how much, then what to do instead."""
+    verdict = f"{arm.name} has no closed form here"
+    remedy = "project() takes any arm"
+    if is_traced(arm):
+        return f"{verdict}. {remedy}; explain(arm) says why, outside jit"
+    families = [name for name, rule in structure.RULES.items() if re.fullmatch(rule.kinds, arm.kinds)]
+    if not families:
+        return f"{verdict}: no family has joints {arm.kinds}. {remedy}"
+    numbers, given = _numbers(arm), _axes(arm)
+    found, nearest = _within(given, families), ""
+    if found:
+        family, off, tolerance = found
+        remedy += f"; within {off:.2g} it is {family}: build it with tolerance={tolerance}"
+    else:
+        family = _nearest(given, families)
+        nearest = f"for {family}, the nearest, "
+    failed = _failed(arm.kinds, numbers, family, structure.tolerance_of(arm.dtype))
+    if not failed:
+        return f"{verdict}. {remedy}"
+    more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
+    worst = _in_words(max(failed, key=_weight), _size(numbers))
+    return f"{verdict}: {nearest}{worst}{more}. {remedy}; explain(arm) says more"
+
+
+def _within(given: Axes, families: list[str]) -> tuple[str, float, str] | None:
+    """The family that a looser tolerance finds, by how much the arm is off it, and that tolerance."""
+    found = None
+    for tolerance in LADDER:
+        if found and float(tolerance) > SMALL:
+            break
+        table = rewritten(given, float(tolerance))
+        numbers = {**table.columns, "tool": table.tool}
+        family = structure.recognise(given.kinds, numbers).family
+        if family and (not found or families.index(family) < families.index(found[0])):
+            shift, turn = np.abs(table.correction[:, :3]).max(), np.abs(table.correction[:, 3:]).max()
+            found = family, max(float(turn), float(shift) / _size(numbers)), tolerance
+    return found
+
+
+def _nearest(given: Axes, families: list[str]) -> str:
+    """The family with the least to forgive, counting only what the largest tolerance does not forgive."""
+    table = rewritten(given, float(LADDER[-1]))
+    numbers = {**table.columns, "tool": table.tool}
+    failed = {name: _failed(given.kinds, numbers, name, float(LADDER[-1])) for name in families}
+    return min(families, key=lambda name: sum(map(_weight, failed[name])))
+
+
+def what_was_found(arm: Arm) -> str:
+    """The arm's axes in words, and what keeps it out of every family."""
+    if is_traced(arm):
+        return "Families: " + ", ".join(structure.RULES)
+    numbers, tolerance = _numbers(arm), structure.tolerance_of(arm.dtype)
+    lines = [f"Found: joints {arm.kinds}; {structure.found(arm.kinds, numbers, tolerance)}.", "Families:"]
+    for name, rule in structure.RULES.items():
+        lines.append(f"  {name}: {rule.summary}.")
+        if not re.fullmatch(rule.kinds, arm.kinds):
+            lines.append(f"    Not this arm: it wants joints {rule.joints}.")
+            continue
+        failed = _failed(arm.kinds, numbers, name, tolerance)
+        facts = "; ".join(_in_words(check, _size(numbers)) for check in failed)
+        lines.append(f"    {'Not this arm: ' + facts if facts else 'This arm, if it is built anew'}.")
+    return "\n".join(lines)
+
+
+def _numbers(arm: Arm) -> dict[str, np.ndarray]:
+    return {key: np.asarray(getattr(arm, key), float) for key in ("a", "alpha", "d", "theta", "tool")}
+
+
+def _axes(arm: Arm) -> Axes:
+    """Of the arm as given, its base left out."""
+    numbers = _numbers(arm)
+    frames = dh.frames(arm.kinds, numbers)
+    links = np.linalg.inv(frames[:-1]) @ frames[1:]
+    off = np.zeros((arm.n + 1, 6)) if arm.correction is None else np.asarray(arm.correction, float)
+    after = list(map(small_pose, off))
+    given = [after[0]]
+    for link, small in zip(links, after[1:], strict=True):
+        given.append(given[-1] @ link @ small)
+    frames = np.stack(given)
+    return Axes(arm.kinds, frames[:-1, :3, 2], frames[:-1, :3, 3], given[-1] @ numbers["tool"])
+
+
+def _size(numbers: dict[str, np.ndarray]) -> float:
+    """What lengths among the facts are a share of."""
+    return max(float(np.abs(numbers["a"]).sum() + np.abs(numbers["d"]).sum()), 1e-300)
+
+
+def _failed(kinds: str, numbers: dict, family: str, tolerance: float) -> list[Check]:
+    return [check for check in structure.evidence(kinds, numbers, family, tolerance) if not check.holds]
+
+
+def _weight(check: Check) -> float:
+    """How far a fact is from holding; what is degenerate is as far as can be."""
+    return 1.0 if check.wanted.startswith(">") else min(check.deviation, 1.0)
+
+
+def _in_words(check: Check, size: float) -> str:
+    """A fact that fails, in millimetres or degrees: "axes 5 and 6 are 76 mm apart"."""
+    fact, length = check.fact.removesuffix(_SHARE), check.fact.endswith(_SHARE)
+    if fact.startswith(_REVERSED):
+        fact = fact.removeprefix(_REVERSED)
+        if fact.startswith(("ax", "a4", "a5", "d5")):
+            head, equals, meaning = fact.partition(" = 0 ")
+            meaning = re.sub(r"\b\d\b", lambda digit: str(7 - int(digit[0])), meaning if equals else head)
+            fact = f"{head} = 0 {meaning}" if equals else meaning
+    if length:
+        amount = f"{1000 * check.deviation * size:.3g} mm"
+    elif check.wanted.startswith(">"):
+        return f"{fact}: {check.deviation:.2g}, wanted {check.wanted}"
+    else:
+        amount = f"{math.degrees(math.asin(min(check.deviation, 1.0))):.3g} deg"
+    if meet := re.search(r" = 0 \((ax.*) meet( in one point)?\)$", fact):
+        return f"{meet[1]} {f'miss one point by {amount}' if meet[2] else f'are {amount} apart'}"
+    if angle := re.match(r"(ax[ie]s \d[\d, ]*) (parallel|perpendicular)(.*)", fact):
+        are = "are" if fact.startswith("axes") else "is"
+        return f"{angle[1]} {are} {amount} from {angle[2]}{angle[3]}"
+    return f"{fact}: {amount}"
