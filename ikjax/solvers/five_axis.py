@@ -137,7 +137,7 @@ def _lines(c2: int, c3: int, links: tuple[Link, ...], goal: Pose, setting: Setti
     """The combination of the two lines with the longest (x, y), and the one square to it."""
     one, two, three, four = links[:4]
     s, c, c23 = one.sin_alpha, one.cos_alpha, float(c2 * c3)
-    per = 1 / s
+    per = safe.divide(1, s)
     x, y, z = goal.position
     lateral = plus(plus(two.d, times(float(c2), three.d)), times(c23, four.d))
     foot = Line(x, y, times(per, plus(lateral, minus(times(c, plus(z, -one.d))))))

@@ -99,7 +99,7 @@ def _held(signs, links: tuple[Link, ...], goal: Pose, foot, side: Scalar, settin
     lateral = plus(plus(two.d, times(float(c2), three.d)), times(c23, four.d))
     lateral = plus(lateral, times(times(c23, four.cos_alpha), setting.tool[2]))
     x, y, z = foot
-    lateral = times(1 / s, plus(lateral, minus(times(c, plus(z, -one.d)))))
+    lateral = times(safe.divide(1, s), plus(lateral, minus(times(c, plus(z, -one.d)))))
     base = shoulder(x, y, lateral, side, setting)
     seen = unwind(Pose(goal.rotation, foot), one, Joint(base.turn.sin, base.turn.cos, one.d))
     x, y, _ = (setting.hold(value) for value in seen.position)

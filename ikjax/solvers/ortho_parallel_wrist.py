@@ -82,7 +82,7 @@ def branches(
 
 def _first_joints(turn: Angle, arm: Triangle, fore, c2: int, setting: Setting) -> tuple[Angle, Angle, Angle]:
     """Joints 1, 2, 3: the third is the elbow angle less the bend that the forearm's own offset makes."""
-    length = safe.norm(*fore)
-    sine = (arm.elbow_sin * fore[0] - arm.elbow_cos * fore[1]) / length
-    cosine = (arm.elbow_cos * fore[0] + arm.elbow_sin * fore[1]) / length
+    per = safe.divide(1, safe.norm(*fore))
+    sine = (arm.elbow_sin * fore[0] - arm.elbow_cos * fore[1]) * per
+    cosine = (arm.elbow_cos * fore[0] + arm.elbow_sin * fore[1]) * per
     return turn, setting.angle(arm.shoulder_sin, arm.shoulder_cos), setting.angle(c2 * sine, cosine)

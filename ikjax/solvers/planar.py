@@ -142,13 +142,13 @@ def _two_turns(c, signs, where, tip, setting) -> tuple[Way, ...]:
     upper, fore = safe.norm(*first), safe.norm(*second)
     x, y = _minus(where, c[0])
     now = setting.now[0]
-    start = (first[1] / upper, first[0] / upper)
+    start = (safe.divide(first[1], upper), safe.divide(first[0], upper))
     filled = Angle(*_sum((signs[0] * now.sin, now.cos), start), 0.0)
     ways = []
     for left in (1, -1):
         arm = triangle(x, y, upper, fore, left, setting, now=filled)
         t1 = _sum((arm.shoulder_sin, arm.shoulder_cos), (-start[0], start[1]))
-        bend = (second[1] / fore, second[0] / fore)
+        bend = (safe.divide(second[1], fore), safe.divide(second[0], fore))
         t2 = _sum(_sum((arm.elbow_sin, arm.elbow_cos), start), (-bend[0], bend[1]))
         joints = tuple(setting.angle(s * t[0], t[1]) for s, t in zip(signs, (t1, t2), strict=False))
         ways.append(Way(joints, arm.margin, arm.continuum))
@@ -160,7 +160,7 @@ def elbow_algebraic(x: Scalar, y: Scalar, upper: Scalar, fore: Scalar, left: int
 
     Source: Craig, Introduction to Robotics, 3rd ed., equations (4.14)-(4.27).
     """
-    cosine = (x * x + y * y - upper * upper - fore * fore) / (2 * upper * fore)
+    cosine = (x * x + y * y - upper * upper - fore * fore) * safe.divide(1, 2 * upper * fore)
     cosine = jnp.clip(cosine, -1, 1)
     sine = -left * safe.sqrt(1 - cosine * cosine)
     k1, k2 = upper + fore * cosine, fore * sine

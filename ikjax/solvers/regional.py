@@ -160,13 +160,13 @@ def _two_turns(chain: Chain, wanted: Vector, how: str, setting: Setting):
             # A height of s makes one of its right side.
             seconds = [
                 (second, abs(s) * margin, free)
-                for second, margin, free in _turns(h2, h1, up.at(third.u, third.v) / s, setting)
+                for second, margin, free in _turns(h2, h1, safe.divide(up.at(third.u, third.v), s), setting)
             ]
         else:
             gap = ahead.at(third.u, third.v)
             seconds = [
                 (second, moved(safe.sqrt(span_squared), abs(2 * one.a) * margin, safe.sign(gap)), free)
-                for second, margin, free in _turns(h1, -h2, gap / (2 * one.a), setting)
+                for second, margin, free in _turns(h1, -h2, safe.divide(gap, 2 * one.a), setting)
             ]
         for second, margin, free in seconds:
             g1, g2 = second.cos * h1 - second.sin * h2, second.sin * h1 + second.cos * h2
@@ -253,7 +253,7 @@ def _turn_slide(chain: Chain, wanted: Vector, how: str, setting: Setting):
             if how == "nearly square":
                 gap = around - ahead.at(third.u, third.v) ** 2
                 side = _side(g2.less(Poly(times(s, z))), third, chain, c, setting)
-                g3 = (c * g2.at(third.u, third.v) - side * safe.sqrt(gap)) / s
+                g3 = safe.divide(c * g2.at(third.u, third.v) - side * safe.sqrt(gap), s)
             answers.append((third, g3, third.margin))
     ways = []
     for third, g3, margin in answers:
@@ -314,7 +314,7 @@ def _two_slides(chain: Chain, wanted: Vector, how: str, setting: Setting):
     ways = []
     for third in roots(chain, Poly(x - one.a).less(g1), setting):
         across, above = g2.at(third.u, third.v), h3.at(third.u, third.v)
-        second = Slide((times(c, across) - y) / s - above)
+        second = Slide(safe.divide(times(c, across) - y, s) - above)
         first = Slide(z - one.d - (times(s, across) + times(c, above + second.value)))
         ways.append(Regional((first, second, third.joint), third.margin, third.free))
     return tuple(ways)

@@ -80,8 +80,9 @@ def _slides(p: Poly, setting: Setting, length: Callable[[Scalar, Scalar], Scalar
         q = setting.hold(safe.divide(times(-1.0, p.one), p.u))
         return [Third(Slide(q), q, 0.0, jnp.inf)]
     thirds = []
-    middle = -p.u / (2 * p.uu)
-    gap = middle * middle - p.one / p.uu
+    per = safe.divide(1, p.uu)
+    middle = -p.u * per / 2
+    gap = middle * middle - p.one * per
     for side in (1, -1):
         q = setting.hold(middle + safe.sign(p.uu) * side * setting.root(gap))
         thirds.append(Third(Slide(q), q, 0.0, length(abs(p.uu) * gap, middle), rise=side))

@@ -57,7 +57,7 @@ def triangle(
     span_squared = x * x + y * y
     span = safe.sqrt(span_squared)
     less, more = upper - fore, upper + fore
-    scale = 1 / (2 * upper * fore)
+    scale = safe.divide(1, 2 * upper * fore)
     turned = safe.sign(scale)  # links of unlike signs are straight where others are folded
     inner, outer = abs(less), abs(more)
     # 1 + cos and 1 - cos, each without cancellation; the smaller one is exact to rounding.

@@ -75,7 +75,7 @@ def general_wrist(
     s4, c4, s5, c5 = twists
     angle, now, tiny = setting.angle, setting.now[3], setting.tiny
     along = c4 * c5 - n[2]
-    cosine = jnp.clip(along / (s4 * s5), -1, 1)
+    cosine = jnp.clip(along * safe.divide(1, s4 * s5), -1, 1)
     margin = abs(s4 * s5) - jnp.abs(along)
     height = side * setting.root((1 - cosine) * (1 + cosine))
     u, v = s5 * height, -(c4 * s5 * cosine + s4 * c5)

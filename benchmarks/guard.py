@@ -1,0 +1,238 @@
+"""Whether the library is as fast where users stand as in its own loops: `make guard`, under three minutes.
+
+Every figure is a ratio of two times from this one process, so that it holds on any machine: how many times slower
+a user's call is than the library's own kernel, sweep or an empty program. A ratio above its bound fails the
+run. Bounds are two to three times what was measured when they were set, on two cores without AVX-512.
+
+    python benchmarks/guard.py [--only WORD] [--out FILE]
+
+Run it alone on the machine: other work slows a loop and a dispatch by different factors.
+"""
+
+import argparse
+import dataclasses
+import sys
+import time
+from collections.abc import Callable
+
+import clock
+import jax
+import jax.numpy as jnp
+import numpy as np
+import own
+import projection
+from report import environment
+
+import ikjax
+
+GOALS = 400_000
+RUNS = 5
+
+UR5E_FILE = """<robot name="ur5e">{links}{joints}</robot>"""
+# Origins of the joints in the robot's own description: xyz [m], rpy [rad].
+UR5E_ORIGINS = [
+    ("0 0 0.1625", "0 0 0"),
+    ("0 0 0", "1.570796327 0 0"),
+    ("-0.425 0 0", "0 0 0"),
+    ("-0.3922 0 0.1333", "0 0 0"),
+    ("0 -0.0997 -2.044881182297852e-11", "1.570796327 0 0"),
+    ("0 0.0996 -2.042830148012698e-11", "1.570796326589793 3.141592653589793 3.141592653589793"),
+]
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """One comparison."""
+
+    what: str
+    seconds: float
+    against: str
+    reference: float
+    """[s]"""
+    most: float
+    """The largest ratio that passes."""
+
+    @property
+    def ratio(self) -> float:
+        return self.seconds / self.reference
+
+    @property
+    def passes(self) -> bool:
+        return self.ratio <= self.most
+
+
+def ur5e_from_its_file() -> ikjax.Arm:
+    links = "".join(f'<link name="l{i}"/>' for i in range(7))
+    joints = "".join(
+        f'<joint name="j{i}" type="revolute"><parent link="l{i}"/><child link="l{i + 1}"/>'
+        f'<origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="0 0 1"/><limit lower="-6.28" upper="6.28"/></joint>'
+        for i, (xyz, rpy) in enumerate(UR5E_ORIGINS)
+    )
+    return ikjax.Arm.from_urdf(UR5E_FILE.format(links=links, joints=joints))
+
+
+def seconds_of(call: Callable, runs: int = RUNS, inner: int = 1) -> float:
+    return clock.measure(clock.blocking(call), runs, inner).median
+
+
+def goals_of(arm: ikjax.Arm, count: int, dtype: str = "float32") -> jax.Array:
+    q = np.random.default_rng(0).uniform(-3, 3, (count, arm.n))
+    return jnp.asarray(jax.jit(lambda q: ikjax.fk(arm, q))(jnp.asarray(q)), dtype)
+
+
+def in_a_jit(name: str, bounds: tuple[float, float, float]) -> list[Row]:
+    """Masks and joints in a user's own jit, against the kernel and the sweep."""
+    arm = ikjax.robots.get(name)
+    goals, q_now = goals_of(arm, GOALS), jnp.zeros(arm.n, jnp.float32)
+    batch = own.Batch.of(arm, GOALS)
+    kernel = own.kernel(batch, "float32", RUNS).timing.median * GOALS / len(batch.goals)
+    swept, swept_goals = own.sweep(arm, "float32", 4e7, 3)
+    sweep = swept.timing.median * GOALS / swept_goals
+
+    def chosen(T):
+        q, found = ikjax.nearest(arm, ikjax.within_limits(arm, ikjax.solve(arm, T)), q_now)
+        return jnp.where(found[..., None], q * q, 0).sum()
+
+    count = jax.jit(lambda T: ikjax.solve(arm, T).valid.any(-1).sum())
+    loss, gradient = jax.jit(chosen), jax.jit(jax.grad(chosen))
+    counted = seconds_of(lambda: count(goals))
+    return [
+        Row(f"{name}: count in a jit", counted, "sweep", sweep, bounds[0]),
+        Row(f"{name}: count in a jit", counted, "kernel", kernel, bounds[1]),
+        Row(
+            f"{name}: nearest branch within limits in a jit",
+            seconds_of(lambda: loss(goals)),
+            "kernel",
+            kernel,
+            bounds[2],
+        ),
+        Row(f"{name}: its gradient", seconds_of(lambda: gradient(goals)), "kernel", kernel, 3 * bounds[2]),
+        Row(
+            f"{name}: solve, eager", seconds_of(lambda: ikjax.solve(arm, goals)), "kernel", kernel, bounds[2]
+        ),
+    ]
+
+
+def one_goal() -> list[Row]:
+    """One goal eager, against an empty program of the same outputs."""
+    arm = ikjax.robots.puma560()
+    goal = goals_of(arm, 1)[0]
+    sol = ikjax.solve(arm, goal)
+    empty = jax.jit(lambda T: jax.tree.map(jnp.zeros_like, sol))
+    reference = seconds_of(lambda: empty(goal), 9, 50)
+    near = lambda: ikjax.nearest(arm, ikjax.solve(arm, goal), sol.q[0])  # noqa: E731
+    return [
+        Row(
+            "one goal: solve",
+            seconds_of(lambda: ikjax.solve(arm, goal), 9, 50),
+            "empty program",
+            reference,
+            300,
+        ),
+        Row("one goal: nearest of solve", seconds_of(near, 9, 50), "empty program", reference, 600),
+    ]
+
+
+def own_file() -> list[Row]:
+    """A UR5e from its own description against the catalogue's."""
+    arms = {"file": ur5e_from_its_file(), "catalogue": ikjax.robots.get("ur5e")}
+    goals = goals_of(arms["catalogue"], GOALS // 4)
+    swept = {what: own.sweep(arm, "float32", 4e6, 3)[0].timing.median for what, arm in arms.items()}
+    eager = {what: seconds_of(lambda arm=arm: ikjax.solve(arm, goals)) for what, arm in arms.items()}
+    return [
+        Row("UR5e from its file: sweep", swept["file"], "catalogue's", swept["catalogue"], 3),
+        Row("UR5e from its file: solve, eager", eager["file"], "catalogue's", eager["catalogue"], 3),
+    ]
+
+
+def projected() -> list[Row]:
+    """The nearest attainable pose, against its closed form alone."""
+    arm, count = ikjax.robots.so101(), 16384
+    goals = projection.goals_of(arm, count).astype("float32")
+    kernel = count / (projection.kernel(arm, goals, "float32", RUNS) * 1e6)
+    default = seconds_of(lambda: ikjax.project(arm, goals), 3)
+    return [Row("SO-101: project", default, "closed form", kernel, 1000)]
+
+
+def yardstick(x):
+    """A fixed program of some thousand operations in one loop, and a few loops."""
+    for k in range(1, 60):
+        s = x * x
+        p = jnp.polyval(jnp.asarray([1e-3, -0.16, 0.3, 0.7], x.dtype), s)
+        x = jnp.where(s > 0.5, x * p, jnp.sqrt(s + 1) - p / (k + s))
+    return x
+
+
+def compiled() -> list[Row]:
+    """Compile seconds against those of a fixed program."""
+
+    def once(f, *arguments) -> float:
+        started = time.perf_counter()
+        jax.jit(f).lower(*arguments).compile()
+        return time.perf_counter() - started
+
+    reference = once(yardstick, jnp.zeros(4096, jnp.float32))
+    rows = []
+    for name, most in (("puma560", 30), ("ur5e", 40), ("stanford", 60)):
+        arm = ikjax.robots.get(name)
+        goals = jnp.zeros((4096, 4, 4), jnp.float32)
+        rows.append(
+            Row(
+                f"compile {name}: solve in a jit",
+                once(lambda T, arm=arm: ikjax.solve(arm, T), goals),
+                "yardstick",
+                reference,
+                most,
+            )
+        )
+    return rows
+
+
+PARTS: dict[str, Callable[[], list[Row]]] = {
+    "compile": compiled,
+    "puma": lambda: in_a_jit("puma560", (12, 2, 6)),
+    "ur5": lambda: in_a_jit("ur5", (12, 2, 6)),
+    "one": one_goal,
+    "file": own_file,
+    "project": projected,
+}
+
+
+def table(rows: list[Row]) -> str:
+    lines = [
+        "| what | time [ms] | against | its time [ms] | ratio | at most | |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for row in rows:
+        cells = row.what, f"{row.seconds * 1e3:.4g}", row.against, f"{row.reference * 1e3:.4g}"
+        verdict = "" if row.passes else "**TOO SLOW**"
+        lines.append(f"| {' | '.join(cells)} | {row.ratio:.3g} | {row.most:g} | {verdict} |")
+    return "\n".join(lines)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--only", help="one part: " + ", ".join(PARTS))
+    parser.add_argument("--out", help="a file for the table")
+    options = parser.parse_args()
+    started, rows = time.perf_counter(), []
+    for name, part in PARTS.items():
+        if options.only in (None, name):
+            rows += part()
+            print(f"{name}: {time.perf_counter() - started:.0f} s", flush=True)
+    text = table(rows)
+    print(text)
+    if options.out:
+        with open(options.out, "w", encoding="utf-8") as file:
+            file.write(text + "\n")
+    slow = [row for row in rows if not row.passes]
+    for row in slow:
+        print(
+            f"too slow: {row.what} takes {row.ratio:.3g} times {row.against}, at most {row.most:g}",
+            file=sys.stderr,
+        )
+    return 1 if slow else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
