@@ -57,6 +57,37 @@ def test_a_frame_is_made_right_handed_and_square(rng):
     np.testing.assert_allclose(vector.orthonormality_error(vector.orthonormal(mt)), 0, atol=1e-14)
 
 
+@pytest.mark.parametrize("size", [0, 1e-6, 1e-3, 1e-2])
+def test_the_nearest_rotation_is_that_of_the_singular_value_decomposition(rng, size, dtype):
+    m = np.linalg.qr(rng.standard_normal((20, 3, 3)))[0]
+    m *= np.sign(np.linalg.det(m))[:, None, None]
+    m += rng.standard_normal(m.shape) * size / 9
+    off = np.linalg.norm(np.swapaxes(m, 1, 2) @ m - np.eye(3), axis=(1, 2)).max()
+    assert size / 2 <= off <= max(size, 1e-14)
+    u, _, v = np.linalg.svd(m)
+    m = m.astype(dtype)
+    got = array_of(vector.nearest_rotation(tuple(tuple(m[:, i, j] for j in range(3)) for i in range(3))))
+    assert got.dtype == dtype
+    np.testing.assert_allclose(got, u @ v, atol=8 * np.finfo(dtype).eps)
+
+
+def test_the_gradient_of_the_nearest_rotation_is_right_at_a_rotation_and_near_one(rng):
+    def nearest(m):
+        rows = vector.nearest_rotation(tuple(tuple(m[i, j] for j in range(3)) for i in range(3)))
+        return jnp.stack([jnp.stack(row) for row in rows])
+
+    def by_svd(m):
+        u, _, v = np.linalg.svd(m)
+        return u @ v
+
+    turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    for m in (turn, turn + rng.standard_normal((3, 3)) * 1e-3):
+        change = rng.standard_normal((3, 3))
+        (_, got), h = jax.jvp(nearest, (jnp.asarray(m),), (jnp.asarray(change),)), 1e-5
+        wanted = (by_svd(m + h * change) - by_svd(m - h * change)) / (2 * h)
+        np.testing.assert_allclose(got, wanted, atol=1e-8)
+
+
 def test_the_orthonormality_error_is_the_frobenius_norm(rng):
     m, mt = matrices(rng)
     wanted = np.linalg.norm(np.swapaxes(m, 1, 2) @ m - np.eye(3), axis=(1, 2))
