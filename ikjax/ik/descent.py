@@ -33,6 +33,7 @@ from ikjax.core.linear import solve_symmetric
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Scalar
 from ikjax.core.vector import plus, times
+from ikjax.ik.turns import nearest_turn
 from ikjax.solvers.family import TURNING, reach
 
 CONVERGED = {"float32": 2e-5, "float64": 1e-8}
@@ -43,8 +44,6 @@ LARGEST_STEP = 1.0
 
 PUSH, NEARLY_FLAT = 0.1, 1e-3
 """A step goes so far [rad, or reaches] off a saddle, where the slope is less than that."""
-
-TURN = 2 * math.pi
 
 FIRST_DAMPING, EASED = 1e-2, 10.0
 """As a share of the curvature; divided by `EASED` after a step that led down, multiplied after others."""
@@ -294,21 +293,26 @@ def _square(slope) -> Scalar:
     return sum(s * s for s in slope)
 
 
-def into_limits(arm: Arm, q: Joints) -> Joints:
-    """The joints moved into the limits: by whole turns where that will do, else to the nearer limit."""
+def into_limits(arm: Arm, q: Joints, near: Joints | None = None) -> Joints:
+    """The joints moved into the limits: by whole turns where that will do, else to the nearer limit.
+
+    The turns are as few as will do, or those that end nearest to a place.
+    """
+    places = (None,) * arm.n if near is None else near
     return tuple(
-        _within(x, low, high, whole)
-        for x, whole, (low, high) in zip(q, whole_turns(arm), bounds(arm), strict=True)
+        _within(x, low, high, whole, place)
+        for x, whole, (low, high), place in zip(q, whole_turns(arm), bounds(arm), places, strict=True)
     )
 
 
-def _within(x: Scalar, low: Scalar, high: Scalar, whole: bool | jax.Array) -> Scalar:
+def _within(x: Scalar, low: Scalar, high: Scalar, whole: bool | jax.Array, near: Scalar | None) -> Scalar:
     if whole is False:
         return jnp.clip(x, low, high)
     low, high = (jnp.asarray(limit, x.dtype) for limit in (low, high))
     middle = jnp.where(jnp.isfinite(low), low + math.pi, jnp.where(jnp.isfinite(high), high - math.pi, 0))
     middle = jnp.where(jnp.isfinite(low) & jnp.isfinite(high), low / 2 + high / 2, middle)
     x = jnp.where(jnp.isfinite(x), x, middle)
-    # Whole turns bring a joint as near to the middle as they can: the end that it passes then is the nearer.
-    turned = x - TURN * jnp.round((x - middle) * (1 / TURN))
-    return jnp.clip(jnp.where(whole & ((x < low) | (x > high)), turned, x), low, high)
+    turned, inside = nearest_turn(x, low, high, whole, near)
+    # Outside, turns bring a joint as near to the middle as they can: the end that it passes is the nearer.
+    closest, _ = nearest_turn(x, -math.inf, math.inf, whole, middle)
+    return jnp.clip(jnp.where(inside, turned, closest), low, high)

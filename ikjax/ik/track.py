@@ -9,10 +9,8 @@ import functools
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from ikjax.arm.arm import Arm
-from ikjax.arm.forward import whole_turns
 from ikjax.ik import descent
 from ikjax.ik.graph import entries_of
 from ikjax.ik.refine import asked, checked, from_starts, proposals
@@ -122,15 +120,12 @@ def _next(arm: Arm, goal, q, length, leap, slack, steps: int) -> Path:
     pose, proper, near = asked(arm, entries_of(goal))
     now = tuple(q[..., i] for i in range(arm.n))
     starts = proposals(arm, pose, near)
-    starts = tuple(jnp.concatenate([x[None], y]) for x, y in zip(now, starts, strict=True))
+    here = tuple(x[None] for x in now)
+    starts = descent.into_limits(arm, starts, here)
+    starts = tuple(jnp.concatenate([x, y]) for x, y in zip(here, starts, strict=True))
     found = from_starts(arm, pose, proper, starts, length, steps, None)
-    values = tuple(
-        jnp.where(whole, _turned_near(x, here[None], low, high), x)
-        for x, here, whole, (low, high) in zip(
-            found.q, now, whole_turns(arm), descent.bounds(arm), strict=True
-        )
-    )
-    moves = functools.reduce(jnp.maximum, [abs(x - here[None]) for x, here in zip(values, now, strict=True)])
+    values = descent.into_limits(arm, found.q, here)
+    moves = functools.reduce(jnp.maximum, [abs(x - y) for x, y in zip(values, here, strict=True)])
     far = jnp.sqrt(found.cost)
     near_enough = far <= far.min(0, keepdims=True) + slack
     stays = near_enough[0]
@@ -146,9 +141,3 @@ def _next(arm: Arm, goal, q, length, leap, slack, steps: int) -> Path:
     gap, angle = pick(found.position_error), pick(found.rotation_error)
     reached = proper & (gap <= tolerance * size) & (angle <= tolerance)
     return Path(moved, proper & ~jumped, jumped, reached, pick(found.cost), gap, angle)
-
-
-def _turned_near(x, here, low, high):
-    """The same angle with the turns that bring it nearest to where the joint is, if the limits allow them."""
-    other = x + descent.TURN * jnp.round((here - x) / np.asarray(descent.TURN, x.dtype))
-    return jnp.where((other >= low) & (other <= high), other, x)
