@@ -96,7 +96,7 @@ class State(NamedTuple):
 
 def standing(arm: Arm, wish: Wish, q: Joints, hold: Hold = lambda x: x) -> Standing:
     """Cost, slope and curvature at joints q."""
-    per = _per_reach(arm)
+    per = 1 / reach(arm)
     found = chain(arm, q, hold)
     tool = poses.compose(found.last, fixed_pose(arm.tool))
     tool = jax.tree.map(hold, tool)
@@ -143,11 +143,6 @@ def errors(arm: Arm, wish: Wish, q: Joints, hold: Hold) -> tuple[Scalar, Scalar,
     gap, turn = _gap(arm, found, wish, tool, 1.0), _turn(wish, tool, hold)
     far, turned = vector.dot(gap, gap), vector.dot(turn.vector, turn.vector)
     return far + _worth(arm, wish, 1.0) * turned, safe.sqrt(far), _angle(arm, turned)
-
-
-def _per_reach(arm: Arm) -> Scalar:
-    size = reach(arm)
-    return 1 / size if isinstance(size, float) else safe.divide(1, size)
 
 
 def _worth(arm: Arm, wish: Wish, per: Scalar) -> Scalar:

@@ -84,15 +84,20 @@ class Frame(NamedTuple):
 
 
 def reach(arm: Arm) -> Scalar:
-    """Sum of the lengths in the table and the tool [m]: no tool point is further from the base."""
+    """Sum of the lengths in the table and the tool [m]: no tool point is further from the base.
+
+    It is also the unit of length everywhere. An arm without lengths, a bare wrist or a gantry, has 1 m: there
+    is nothing else to compare with.
+    """
     tool = fixed_pose(arm.tool).position
-    return sum(abs(x) for link in links(arm) for x in (link.a, link.d)) + sum(abs(x) for x in tool)
+    total = sum(abs(x) for link in links(arm) for x in (link.a, link.d)) + sum(abs(x) for x in tool)
+    return total or 1.0 if isinstance(total, int | float) else jnp.where(total > 0, total, 1)
 
 
 def prepare(arm: Arm) -> Frame:
     """Everything that depends on the arm alone."""
     size = reach(arm)
-    per = 1 / size if isinstance(size, float) else safe.divide(1, size)
+    per = 1 / size
     table = tuple(
         link._replace(a=vector.times(per, link.a), d=vector.times(per, link.d), theta=_wrapped(link.theta))
         for link in links(arm)
