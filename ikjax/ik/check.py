@@ -58,7 +58,10 @@ def check_goals(arm: Arm, goals) -> None:
     bad = ~(error <= ROTATION_TOLERANCE)
     if bad.any():
         name, _ = first(bad)
-        raise ValueError(f"{name} must hold a rotation, its R^T R - I has norm {error[bad][0]:.1g}")
+        raise ValueError(
+            f"{name} must hold a rotation, its R^T R - I has norm {error[bad][0]:.1g}: of rounded numbers, "
+            "ikjax.pose(matrix=T, orthonormalize=True) makes one"
+        )
     bad = np.linalg.det(rotation) < 0
     if bad.any():
         name, _ = first(bad)
