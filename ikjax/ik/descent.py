@@ -84,6 +84,8 @@ class Standing(NamedTuple):
     """Distance of the points."""
     angle: Scalar
     """[rad]"""
+    lever: Scalar
+    """Square of the distance that the tool moves with the joint that moves it most [rad^-2]."""
 
 
 class State(NamedTuple):
@@ -123,12 +125,17 @@ def standing(arm: Arm, wish: Wish, q: Joints, hold: Hold = lambda x: x) -> Stand
     lower = [[curve[j][i - j] for j in range(i + 1)] for i in range(arm.n)]
     slope, lower = _of_motors(arm, slope, lower)
     far, turned = hold(vector.dot(gap, gap)), hold(vector.dot(turn.vector, turn.vector))
+    levers = [
+        1.0 if kind == "P" else vector.dot(twist.linear, twist.linear)
+        for kind, twist in zip(arm.kinds, twists, strict=True)
+    ]
     return Standing(
         hold(times(wish.point, far) + worth * turned),
         tuple(map(hold, slope)),
         tuple(tuple(map(hold, row)) for row in lower),
         hold(safe.sqrt(far)),
         hold(_angle(arm, turned)),
+        hold(functools.reduce(jnp.maximum, levers, jnp.zeros_like(far))),
     )
 
 
@@ -209,6 +216,21 @@ def steepness(arm: Arm, q: Joints, at: Standing) -> Scalar:
     return safe.norm(*free) / jnp.maximum(1, safe.sqrt(at.cost))
 
 
+def is_seen(arm: Arm, goal: Pose, at: Standing, length: Scalar) -> jax.Array:
+    """Whether `CONVERGED` says anything about the pose, and not about rounding.
+
+    Positions are rounded to eps of the largest number on their way, which is one of the table, the base or
+    the goal: a slope of that times a reach must be below `CONVERGED`, as a share of the residual where that
+    is taken. And the slope is the residual times what the joints move the tool by: where that is next to
+    nothing in reaches, as between axes that kilometres in the table compensate, every slope is below it.
+    """
+    name, per = at.cost.dtype.name, 1 / reach(arm)
+    away = vector.norm(vector.scale(per, fixed_pose(arm.base).position))
+    rounding = float(jnp.finfo(name).eps) * (1 + away + per * vector.norm(goal.position))
+    exact = rounding <= CONVERGED[name] * jnp.maximum(1, safe.sqrt(at.cost))
+    return exact & (at.lever + _worth(arm, Wish(goal, length), per) > CONVERGED[name])
+
+
 def descend(arm: Arm, wish: Wish, q: Joints, steps, hold: HoldLike, damping: Scalar | None = None) -> State:
     """So many steps from joints within the limits; `damping` goes on from an earlier descent.
 
@@ -231,7 +253,7 @@ def descend(arm: Arm, wish: Wish, q: Joints, steps, hold: HoldLike, damping: Sca
 def nowhere(arm: Arm, zero: Scalar) -> Standing:
     """Worse than anywhere."""
     curve = tuple((zero,) * i + (zero + 1,) for i in range(arm.n))
-    return Standing(zero + jnp.inf, (zero,) * arm.n, curve, zero, zero)
+    return Standing(zero + jnp.inf, (zero,) * arm.n, curve, zero, zero, zero)
 
 
 def step(arm: Arm, wish: Wish, state: State, hold: Hold) -> State:

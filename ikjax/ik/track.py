@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from ikjax.arm.arm import Arm
 from ikjax.ik import descent
 from ikjax.ik.graph import entries_of
-from ikjax.ik.refine import asked, checked, from_starts, proposals
+from ikjax.ik.refine import asked, checked, from_starts, goal_error, proposals
 from ikjax.solvers.family import TOLERANCE, reach
 
 STEPS = 24
@@ -38,13 +38,16 @@ class Path:
     jumped: jax.Array
     """(..., T) bool: another branch was taken, or a joint moved by more than `leap`."""
     reached: jax.Array
-    """(..., T) bool: the goal itself is attained, to the tolerance of `solve`."""
+    """(..., T) bool: the goal itself, or the pose nearest to it, is attained to the tolerance of `solve`."""
     cost: jax.Array
     """(..., T) |dp|^2 + (length * angle)^2 [m^2]."""
     position_error: jax.Array
     """(..., T) [m]"""
     rotation_error: jax.Array
-    """(..., T) [rad]"""
+    """(..., T) [rad]; like the cost and the position error NaN where the goal is no pose."""
+    goal_error: jax.Array | None = None
+    """(..., T) |R^T R - I| of each goal as given. Up to 1e-2 its nearest rotation is the goal, beyond that it
+    is no pose; see `Projection`."""
 
 
 def track(
@@ -65,7 +68,8 @@ def track(
 
     Args:
         arm: An arm with a family.
-        goals: T_world_tool along the path, (..., T, 4, 4), float32 or float64.
+        goals: T_world_tool along the path, (..., T, 4, 4), float32 or float64. Of rotations that are off by
+            up to 1e-2, the nearest ones are the goals.
         q0: (..., n) joint values before the first goal; moved into the limits.
         length: What a radian is worth [m]; positive.
         steps: Newton steps at each goal.
@@ -112,7 +116,8 @@ def _tracked(arm: Arm, goals, q0, numbers, steps: int) -> Path:
     first = descent.into_limits(arm, tuple(q0[..., i] for i in range(arm.n)))
     _, path = jax.lax.scan(onward, jnp.stack(first, axis=-1), jnp.moveaxis(goals, -3, 0))
     axis = goals.ndim - 3
-    return jax.tree.map(lambda x: jnp.moveaxis(x, 0, axis), path)
+    path = jax.tree.map(lambda x: jnp.moveaxis(x, 0, axis), path)
+    return dataclasses.replace(path, goal_error=goal_error(goals))
 
 
 def _next(arm: Arm, goal, q, length, leap, slack, steps: int) -> Path:
