@@ -21,7 +21,6 @@ import jax.numpy as jnp
 import numpy as np
 import own
 import projection
-from report import environment
 
 import ikjax
 

@@ -15,6 +15,7 @@ from ikjax.ik.select import nearest, within_limits
 from ikjax.ik.solutions import Solutions
 from ikjax.ik.solve import solve
 from ikjax.ik.track import Path, track
+from ikjax.ik.turns import Turns, turns
 from ikjax.study import objectives
 from ikjax.study.bases import place
 from ikjax.study.design import design

@@ -45,7 +45,7 @@ def run_solve(options) -> int:
     goal = ikjax.pose(options.xyz, **turn, dtype=dtype)
     ikjax.check_goals(arm, goal)
     sol = ikjax.solve(arm, goal, q_now=options.q_now)
-    inside = ikjax.within_limits(arm, sol)
+    inside = ikjax.within_limits(arm, sol, options.q_now)
     angle = ("rad", 1.0, 4) if options.radians else ("deg", 180 / np.pi, 2)
     units = [angle if kind == "R" else ("mm", 1000.0, 1) for kind in arm.kinds]
     rows = []

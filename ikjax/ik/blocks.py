@@ -160,4 +160,4 @@ class Solving:
         slots = slots_of(arm, entries, q_now, self.tolerance, hold=holder(entries[0][3]))
         q = packed([x for slot in slots for x in slot.q]).reshape(BLOCK, len(slots), arm.n)
         rest = {name: packed([getattr(slot, name) for slot in slots]) for name in FIELDS}
-        return Solutions(q=q, **rest)
+        return Solutions(q=q, is_pose=jnp.broadcast_to(slots[0].is_pose, (BLOCK,)), **rest)

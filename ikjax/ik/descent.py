@@ -33,6 +33,7 @@ from ikjax.core.linear import solve_symmetric
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Scalar
 from ikjax.core.vector import plus, times
+from ikjax.ik.turns import nearest_turn
 from ikjax.solvers.family import TURNING, reach
 
 CONVERGED = {"float32": 2e-5, "float64": 1e-8}
@@ -43,8 +44,6 @@ LARGEST_STEP = 1.0
 
 PUSH, NEARLY_FLAT = 0.1, 1e-3
 """A step goes so far [rad, or reaches] off a saddle, where the slope is less than that."""
-
-TURN = 2 * math.pi
 
 FIRST_DAMPING, EASED = 1e-2, 10.0
 """As a share of the curvature; divided by `EASED` after a step that led down, multiplied after others."""
@@ -85,6 +84,8 @@ class Standing(NamedTuple):
     """Distance of the points."""
     angle: Scalar
     """[rad]"""
+    lever: Scalar
+    """Square of the distance that the tool moves with the joint that moves it most [rad^-2]."""
 
 
 class State(NamedTuple):
@@ -97,7 +98,7 @@ class State(NamedTuple):
 
 def standing(arm: Arm, wish: Wish, q: Joints, hold: Hold = lambda x: x) -> Standing:
     """Cost, slope and curvature at joints q."""
-    per = _per_reach(arm)
+    per = 1 / reach(arm)
     found = chain(arm, q, hold)
     tool = poses.compose(found.last, fixed_pose(arm.tool))
     tool = jax.tree.map(hold, tool)
@@ -124,12 +125,17 @@ def standing(arm: Arm, wish: Wish, q: Joints, hold: Hold = lambda x: x) -> Stand
     lower = [[curve[j][i - j] for j in range(i + 1)] for i in range(arm.n)]
     slope, lower = _of_motors(arm, slope, lower)
     far, turned = hold(vector.dot(gap, gap)), hold(vector.dot(turn.vector, turn.vector))
+    levers = [
+        1.0 if kind == "P" else vector.dot(twist.linear, twist.linear)
+        for kind, twist in zip(arm.kinds, twists, strict=True)
+    ]
     return Standing(
         hold(times(wish.point, far) + worth * turned),
         tuple(map(hold, slope)),
         tuple(tuple(map(hold, row)) for row in lower),
         hold(safe.sqrt(far)),
         hold(_angle(arm, turned)),
+        hold(functools.reduce(jnp.maximum, levers, jnp.zeros_like(far))),
     )
 
 
@@ -144,11 +150,6 @@ def errors(arm: Arm, wish: Wish, q: Joints, hold: Hold) -> tuple[Scalar, Scalar,
     gap, turn = _gap(arm, found, wish, tool, 1.0), _turn(wish, tool, hold)
     far, turned = vector.dot(gap, gap), vector.dot(turn.vector, turn.vector)
     return far + _worth(arm, wish, 1.0) * turned, safe.sqrt(far), _angle(arm, turned)
-
-
-def _per_reach(arm: Arm) -> Scalar:
-    size = reach(arm)
-    return 1 / size if isinstance(size, float) else safe.divide(1, size)
 
 
 def _worth(arm: Arm, wish: Wish, per: Scalar) -> Scalar:
@@ -215,6 +216,21 @@ def steepness(arm: Arm, q: Joints, at: Standing) -> Scalar:
     return safe.norm(*free) / jnp.maximum(1, safe.sqrt(at.cost))
 
 
+def is_seen(arm: Arm, goal: Pose, at: Standing, length: Scalar) -> jax.Array:
+    """Whether `CONVERGED` says anything about the pose, and not about rounding.
+
+    Positions are rounded to eps of the largest number on their way, which is one of the table, the base or
+    the goal: a slope of that times a reach must be below `CONVERGED`, as a share of the residual where that
+    is taken. And the slope is the residual times what the joints move the tool by: where that is next to
+    nothing in reaches, as between axes that kilometres in the table compensate, every slope is below it.
+    """
+    name, per = at.cost.dtype.name, 1 / reach(arm)
+    away = vector.norm(vector.scale(per, fixed_pose(arm.base).position))
+    rounding = float(jnp.finfo(name).eps) * (1 + away + per * vector.norm(goal.position))
+    exact = rounding <= CONVERGED[name] * jnp.maximum(1, safe.sqrt(at.cost))
+    return exact & (at.lever + _worth(arm, Wish(goal, length), per) > CONVERGED[name])
+
+
 def descend(arm: Arm, wish: Wish, q: Joints, steps, hold: HoldLike, damping: Scalar | None = None) -> State:
     """So many steps from joints within the limits; `damping` goes on from an earlier descent.
 
@@ -237,7 +253,7 @@ def descend(arm: Arm, wish: Wish, q: Joints, steps, hold: HoldLike, damping: Sca
 def nowhere(arm: Arm, zero: Scalar) -> Standing:
     """Worse than anywhere."""
     curve = tuple((zero,) * i + (zero + 1,) for i in range(arm.n))
-    return Standing(zero + jnp.inf, (zero,) * arm.n, curve, zero, zero)
+    return Standing(zero + jnp.inf, (zero,) * arm.n, curve, zero, zero, zero)
 
 
 def step(arm: Arm, wish: Wish, state: State, hold: Hold) -> State:
@@ -294,21 +310,26 @@ def _square(slope) -> Scalar:
     return sum(s * s for s in slope)
 
 
-def into_limits(arm: Arm, q: Joints) -> Joints:
-    """The joints moved into the limits: by whole turns where that will do, else to the nearer limit."""
+def into_limits(arm: Arm, q: Joints, near: Joints | None = None) -> Joints:
+    """The joints moved into the limits: by whole turns where that will do, else to the nearer limit.
+
+    The turns are as few as will do, or those that end nearest to a place.
+    """
+    places = (None,) * arm.n if near is None else near
     return tuple(
-        _within(x, low, high, whole)
-        for x, whole, (low, high) in zip(q, whole_turns(arm), bounds(arm), strict=True)
+        _within(x, low, high, whole, place)
+        for x, whole, (low, high), place in zip(q, whole_turns(arm), bounds(arm), places, strict=True)
     )
 
 
-def _within(x: Scalar, low: Scalar, high: Scalar, whole: bool | jax.Array) -> Scalar:
+def _within(x: Scalar, low: Scalar, high: Scalar, whole: bool | jax.Array, near: Scalar | None) -> Scalar:
     if whole is False:
         return jnp.clip(x, low, high)
     low, high = (jnp.asarray(limit, x.dtype) for limit in (low, high))
     middle = jnp.where(jnp.isfinite(low), low + math.pi, jnp.where(jnp.isfinite(high), high - math.pi, 0))
     middle = jnp.where(jnp.isfinite(low) & jnp.isfinite(high), low / 2 + high / 2, middle)
     x = jnp.where(jnp.isfinite(x), x, middle)
-    # Whole turns bring a joint as near to the middle as they can: the end that it passes then is the nearer.
-    turned = x - TURN * jnp.round((x - middle) * (1 / TURN))
-    return jnp.clip(jnp.where(whole & ((x < low) | (x > high)), turned, x), low, high)
+    turned, inside = nearest_turn(x, low, high, whole, near)
+    # Outside, turns bring a joint as near to the middle as they can: the end that it passes is the nearer.
+    closest, _ = nearest_turn(x, -math.inf, math.inf, whole, middle)
+    return jnp.clip(jnp.where(inside, turned, closest), low, high)

@@ -13,6 +13,7 @@ down once, held.
 """
 
 import functools
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -48,7 +49,20 @@ def slots_of(arm: Arm, entries: Entries, q_now, tolerance, *, hold=None, share=N
         proper &= entry == wanted
     now = None if q_now is None else tuple(q_now[..., i] for i in range(arm.n))
     slots = solve_scalars(arm, goal, now, tolerance, hold, share)
-    return tuple(slot._replace(valid=slot.valid & proper) for slot in slots)
+    # What stands for a goal that is no pose is as far off as can be, and nothing moves it.
+    size = jax.lax.stop_gradient(jnp.asarray(reach(arm), entries[0][3].dtype))
+
+    def known(slot: Slot) -> Slot:
+        return slot._replace(
+            valid=slot.valid & proper,
+            margin=jnp.where(proper, slot.margin, -size),
+            continuum=slot.continuum & proper,
+            position_error=jnp.where(proper, slot.position_error, size),
+            rotation_error=jnp.where(proper, slot.rotation_error, math.pi),
+            is_pose=proper,
+        )
+
+    return tuple(map(known, slots))
 
 
 def is_small(arm: Arm) -> bool:
@@ -108,7 +122,7 @@ def gathered(slots: tuple[Slot, ...], shape: tuple[int, ...], **instead: jax.Arr
 
     q = jnp.stack([gather(slot.q) for slot in slots], axis=-2)
     rest = {name: gather([getattr(slot, name) for slot in slots]) for name in FIELDS if name not in instead}
-    return Solutions(q=q, **rest, **instead)
+    return Solutions(q=q, is_pose=jnp.broadcast_to(slots[0].is_pose, shape), **rest, **instead)
 
 
 def _mask(flags: list[jax.Array], goals: jax.Array) -> jax.Array:

@@ -9,17 +9,21 @@ import optax
 
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import fk
-from ikjax.core.pose import from_matrix, pose_error
+from ikjax.core.pose import pose_error, to_matrix
 from ikjax.ik import descent
+from ikjax.ik.graph import entries_of
 from ikjax.ik.projection import Projection
-from ikjax.solvers.family import clean, reach
+from ikjax.solvers.family import NEARLY_ROTATION, nearest_pose, reach
 
 
 def minimised(arm: Arm, goals: jax.Array, starts: jax.Array, loss, optimizer, steps: int) -> Projection:
-    """The best of all steps from each start (..., S, n), fields (..., S); arguments as in `refine`."""
+    """The best of all steps from each start (..., S, n), fields (..., S); arguments as in `refine`.
+
+    The loss is handed the pose nearest to each goal, or the goal as it is where there is none.
+    """
     optimizer = optax.adam(0.02) if optimizer is None else optimizer
     columns = descent.into_limits(arm, tuple(starts[..., i] for i in range(arm.n)))
-    starts, size = jnp.stack(columns, axis=-1), reach(arm)
+    starts, size = jnp.stack(columns, axis=-1), jnp.asarray(reach(arm), goals.dtype)
     low, high = arm.limits[:, 0], arm.limits[:, 1]
 
     def one(goal, q0):
@@ -45,10 +49,14 @@ def minimised(arm: Arm, goals: jax.Array, starts: jax.Array, loss, optimizer, st
         (q, _, best), _ = jax.lax.scan(step, (q0, optimizer.init(q0), none), length=steps)
         return look(q, best)[1]
 
+    pose, off = nearest_pose(entries_of(goals), jax.lax.stop_gradient(size))
+    proper = off <= NEARLY_ROTATION
+    goals = jnp.where(proper[..., None, None], to_matrix(pose), goals)
     flat = starts.reshape(-1, *starts.shape[-2:])
     found = jax.vmap(jax.vmap(one, (None, 0)))(goals.reshape(-1, 4, 4), flat)
     q, value, steep = (x.reshape(*starts.shape[:-1], *x.shape[2:]) for x in found)
-    gap, angle = pose_error(fk(arm, q), goals[..., None, :, :])
-    _, proper = clean(from_matrix(goals), size)
-    down = proper[..., None] & jnp.isfinite(value) & (steep <= descent.CONVERGED[q.dtype.name])
+    proper = proper[..., None]
+    errors = pose_error(fk(arm, q), goals[..., None, :, :])
+    gap, angle = (jnp.where(proper, x, jnp.nan) for x in errors)
+    down = proper & jnp.isfinite(value) & (steep <= descent.CONVERGED[q.dtype.name])
     return Projection(q, value, gap, angle, steep, down)

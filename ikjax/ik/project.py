@@ -41,7 +41,8 @@ def project(
 
     Args:
         arm: Any arm of up to seven joints.
-        goals: T_world_tool, (..., 4, 4), float32 or float64. A goal that is no pose is never `converged`.
+        goals: T_world_tool, (..., 4, 4), float32 or float64. Of a rotation that is off by up to 1e-2, the
+            nearest rotation is the goal; a goal that is no pose is never `converged`. See `refine`.
         length: What a radian is worth [m]; positive.
         priority: "weighted" is the cost above. "position" and "orientation" put one error first; see
             `refine`. Where the closed form holds the point, it is what "position" starts from.
@@ -62,7 +63,7 @@ def project(
         raise ValueError(f"beside must not be negative, got {beside}")
     priority = priorities.checked(arm, priority)
     more = _beside(arm, goals, steps, beside, priority)
-    return best_of(arm, _from_all(arm, goals, length, steps, more, priority), priority)
+    return best_of(arm, goals, _from_all(arm, goals, length, steps, more, priority), priority)
 
 
 def _beside(arm: Arm, goals, steps: int, count: int | None, priority: str) -> jax.Array:

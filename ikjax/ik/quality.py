@@ -69,8 +69,9 @@ def inverse_condition(arm: Arm, q, *, length=None) -> jax.Array:
 def limit_distance(arm: Arm, q) -> jax.Array:
     """How far the nearest joint limit is [rad]: positive within the limits, negative beyond one.
 
-    A turning joint may be any number of whole turns away, as in `within_limits`; a slide counts one radian
-    a reach. It is pi at most, which is also what an arm without limits has.
+    A turning joint counts with the best of all its whole turns, wherever in `q` it stands: the value is
+    positive just where `within_limits` finds turns that bring it inside. A slide counts one radian a reach.
+    It is pi at most, which is also what an arm without limits has.
 
     Args:
         arm: With limits (n, 2) [rad, m], in terms of q.

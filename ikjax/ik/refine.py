@@ -22,7 +22,7 @@ from ikjax.ik.lossy import minimised
 from ikjax.ik.projection import Projection
 from ikjax.ik.solve import as_goals
 from ikjax.ik.stationary import with_slopes
-from ikjax.solvers.family import clean, proposed, reach
+from ikjax.solvers.family import NEARLY_ROTATION, nearest_pose, proposed, reach
 
 STEPS = 60
 FIRST = 6
@@ -49,7 +49,9 @@ def refine(
 
     Args:
         arm: Any arm of up to seven joints, of a family or of none.
-        goals: T_world_tool, (..., 4, 4), float32 or float64.
+        goals: T_world_tool, (..., 4, 4), float32 or float64. Of a rotation that is off by up to 1e-2, as
+            three typed decimals are, the nearest rotation is the goal; `goal_error` says by how much. Beyond
+            that, or of another bottom row, the goal is no pose: errors are NaN, and `q` is where it started.
         q0: (..., n) joint values to start from, or (..., S, n) for S starts of each goal.
         length: What a radian is worth [m]; positive. A short one holds the point and a long one the
             orientation, each to about its square over a square length of the arm.
@@ -92,9 +94,9 @@ def refine(
     if loss is not None:
         if priority != "weighted":
             raise ValueError(f"priority is of the errors, and not of a loss: got {priority!r} with loss=")
-        return best_of(arm, minimised(arm, goals, starts, loss, optimizer, steps))
+        return best_of(arm, goals, minimised(arm, goals, starts, loss, optimizer, steps))
     priority = priorities.checked(arm, priority)
-    return best_of(arm, descended(arm, goals, starts, length, steps, priority), priority)
+    return best_of(arm, goals, descended(arm, goals, starts, length, steps, priority), priority)
 
 
 def checked(arm: Arm, goals, length, steps: int) -> tuple[jax.Array, Arm]:
@@ -106,7 +108,7 @@ def checked(arm: Arm, goals, length, steps: int) -> tuple[jax.Array, Arm]:
     return goals, arm.astype(goals.dtype)
 
 
-def best_of(arm: Arm, branches: Projection, priority: str = "weighted") -> Projection:
+def best_of(arm: Arm, goals, branches: Projection, priority: str = "weighted") -> Projection:
     """The start that came out lowest, the first of several that are level, and all of them."""
     best = priorities.best(arm, branches, priority)
 
@@ -114,7 +116,8 @@ def best_of(arm: Arm, branches: Projection, priority: str = "weighted") -> Proje
         index = best.reshape(*best.shape, *[1] * (x.ndim - best.ndim))
         return jnp.take_along_axis(x, index, axis=best.ndim).squeeze(best.ndim)
 
-    return Projection(**{k: pick(x) for k, x in vars(branches).items() if x is not None}, branches=branches)
+    fields = {k: pick(x) for k, x in vars(branches).items() if x is not None}
+    return Projection(**fields, goal_error=goal_error(goals), branches=branches)
 
 
 def descended(
@@ -177,13 +180,16 @@ def closed(arm: Arm, entries: Entries, length) -> list[Found]:
 
 
 def asked(arm: Arm, entries: Entries):
-    """The goal in scalars, whether it is a pose, and what holds numbers of its shape."""
-    rotation, position = tuple(row[:3] for row in entries[:3]), tuple(row[3] for row in entries[:3])
-    goal, proper = clean(Pose(rotation, position), reach(arm))
-    for entry, wanted in zip(entries[3], (0, 0, 0, 1), strict=True):
-        proper &= entry == wanted
+    """The nearest pose in scalars, whether there is one, and what holds numbers of its shape."""
+    goal, off = nearest_pose(entries, reach(arm))
     near = descent.held_once(holder(entries[0][3]))
-    return jax.tree.map(near, goal), proper, near
+    return jax.tree.map(near, goal), off <= NEARLY_ROTATION, near
+
+
+@jax.jit
+def goal_error(goals: jax.Array) -> jax.Array:
+    """By how much goals (..., 4, 4) are no poses, (...)."""
+    return jax.lax.stop_gradient(nearest_pose(entries_of(goals), 1.0)[1])
 
 
 def proposals(arm: Arm, goal: Pose, near) -> tuple[jax.Array, ...]:
@@ -206,12 +212,16 @@ def _from_starts(arm: Arm, goal: Pose, proper, starts, length, steps, damping, p
     """Starts within the limits; what stands for the goal has their shape."""
     state, flat, bottom = priorities.descend(arm, goal, length, priority, starts, steps, holder, damping)
     flat = hold(flat)
-    down = proper & (flat <= descent.CONVERGED[flat.dtype.name])
     at, size = state.at, reach(arm)
+    seen = descent.is_seen(arm, goal, at, length)
+    down = proper & seen & (flat <= descent.CONVERGED[flat.dtype.name])
     cost = size * size * at.cost
     if priority != "weighted":
         cost = (size * at.gap) ** 2 + (length * at.angle) ** 2
-    return Found(state.q, cost, size * at.gap, at.angle, flat, down, state.damping, bottom)
+    # Nothing is measured against what stands for a goal that is no pose, and the arm does not move to it.
+    q = tuple(jnp.where(proper, x, y) for x, y in zip(state.q, starts, strict=True))
+    cost, gap, angle, flat = (jnp.where(proper, x, jnp.nan) for x in (cost, size * at.gap, at.angle, flat))
+    return Found(q, cost, gap, angle, flat, down, state.damping, bottom)
 
 
 @dataclasses.dataclass(frozen=True)

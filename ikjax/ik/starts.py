@@ -13,9 +13,10 @@ from ikjax.arm.arm import Arm
 from ikjax.core.known import is_traced, stop_gradient
 from ikjax.core.trig import Scalar
 from ikjax.ik import blocks
-from ikjax.ik.descent import TURN, bounds
+from ikjax.ik.descent import bounds
 from ikjax.ik.graph import Entries, entries_of
 from ikjax.ik.refine import asked
+from ikjax.ik.turns import TURN
 from ikjax.solvers.family import proposed, proposed_at_ends
 
 

@@ -17,14 +17,13 @@ import jax
 import jax.numpy as jnp
 
 from ikjax.arm.arm import Arm
-from ikjax.core import pose as poses
-from ikjax.core import vector
 from ikjax.core.linear import solve_symmetric
 from ikjax.core.pose import Pose
 from ikjax.core.xla import holder
 from ikjax.ik import descent
+from ikjax.ik.graph import entries_of
 from ikjax.ik.priority import SHARE, wish
-from ikjax.solvers.family import clean, reach
+from ikjax.solvers.family import NEARLY_ROTATION, nearest_pose, reach
 
 
 def with_slopes(arm: Arm, goals, q, bottom, length, converged, priority: str):
@@ -35,11 +34,11 @@ def with_slopes(arm: Arm, goals, q, bottom, length, converged, priority: str):
     """
     bottom = _bottom(priority, arm, goals, bottom, jax.lax.stop_gradient(length), converged)
     q = q + (bottom - jax.lax.stop_gradient(bottom))
-    goal = _as_moved(goals, reach(arm))
-    asked = descent.Wish(jax.tree.map(lambda x: x[None], goal), length)
+    goal, proper = _nearest(arm, goals)
     columns = _columns(q)
-    cost, gap, angle = descent.errors(arm, asked, columns, _hold(columns))
-    fields = {"cost": cost, "position_error": gap, "rotation_error": angle}
+    found = descent.errors(arm, descent.Wish(goal, length), columns, _hold(columns))
+    names = ("cost", "position_error", "rotation_error")
+    fields = {name: jnp.where(proper, x, jnp.nan) for name, x in zip(names, found, strict=True)}
     return q, {name: jnp.moveaxis(x, 0, -1) for name, x in fields.items()}
 
 
@@ -52,26 +51,15 @@ def _hold(columns):
     return descent.held_once(holder(columns[0]))
 
 
-def _as_moved(goals, size) -> Pose:
-    """The goals cleaned, their tangents read as those of rigid bodies."""
-    still, _ = clean(poses.from_matrix(jax.lax.stop_gradient(goals)), jax.lax.stop_gradient(size))
-    # At a rotation itself a change of its entries that is no rotation is taken out: R (1 + skew(R^T dR)).
-    turn = vector.matmul(vector.transpose(still.rotation), poses.from_matrix(goals).rotation)
-    skew = tuple(
-        tuple(_slope_only((turn[i][j] - turn[j][i]) / 2) + (1.0 if i == j else 0.0) for j in range(3))
-        for i in range(3)
-    )
-    position = tuple(
-        x + _slope_only(y) for x, y in zip(still.position, poses.from_matrix(goals).position, strict=True)
-    )
-    return Pose(vector.matmul(still.rotation, skew), position)
+def _nearest(arm: Arm, goals) -> tuple[Pose, jax.Array]:
+    """The poses nearest to the goals, one for all starts, and whether there are any.
 
-
-def _slope_only(x):
-    """Zero, with the slope of x; also where x is not finite."""
-    good = jnp.isfinite(x)
-    x = jnp.where(good, x, 0)
-    return x - jax.lax.stop_gradient(x)
+    The derivative of the nearest rotation takes out of a change of its entries what is no rotation.
+    """
+    size = jax.lax.stop_gradient(jnp.asarray(reach(arm), goals.dtype))
+    goal, off = nearest_pose(entries_of(goals), size)
+    hold = holder(goals[..., 0, 3])
+    return jax.tree.map(lambda x: hold(x)[None], goal), (off <= NEARLY_ROTATION)[None]
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -87,7 +75,7 @@ def _(priority: str, primals, tangents):
     columns = _columns(q)
 
     def slope(arm, goals):
-        goal = jax.tree.map(lambda x: x[None], _as_moved(goals, reach(arm)))
+        goal, _ = _nearest(arm, goals)
         return descent.standing(arm, wish(arm, goal, length, priority), columns, _hold(columns))
 
     moved_arm = dataclasses.replace(tangents[0], limits=jnp.zeros_like(arm.limits))

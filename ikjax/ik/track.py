@@ -12,11 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from ikjax.arm.arm import Arm
-from ikjax.arm.forward import whole_turns
 from ikjax.core.known import as_array, stop_gradient
 from ikjax.ik import descent
 from ikjax.ik.graph import entries_of, jit_with_arm
-from ikjax.ik.refine import asked, checked, from_starts, proposals
+from ikjax.ik.refine import asked, checked, from_starts, goal_error, proposals
 from ikjax.solvers.family import TOLERANCE, reach
 
 STEPS = 24
@@ -41,13 +40,16 @@ class Path:
     jumped: jax.Array
     """(..., T) bool: another branch was taken, or a joint moved by more than `leap`."""
     reached: jax.Array
-    """(..., T) bool: the goal itself is attained, to the tolerance of `solve`."""
+    """(..., T) bool: the goal itself, or the pose nearest to it, is attained to the tolerance of `solve`."""
     cost: jax.Array
     """(..., T) |dp|^2 + (length * angle)^2 [m^2]."""
     position_error: jax.Array
     """(..., T) [m]"""
     rotation_error: jax.Array
-    """(..., T) [rad]"""
+    """(..., T) [rad]; like the cost and the position error NaN where the goal is no pose."""
+    goal_error: jax.Array | None = None
+    """(..., T) |R^T R - I| of each goal as given. Up to 1e-2 its nearest rotation is the goal, beyond that it
+    is no pose; see `Projection`."""
 
 
 def track(
@@ -68,7 +70,8 @@ def track(
 
     Args:
         arm: An arm with a family.
-        goals: T_world_tool along the path, (..., T, 4, 4), float32 or float64.
+        goals: T_world_tool along the path, (..., T, 4, 4), float32 or float64. Of rotations that are off by
+            up to 1e-2, the nearest ones are the goals.
         q0: (..., n) joint values before the first goal; moved into the limits.
         length: What a radian is worth [m]; positive.
         steps: Newton steps at each goal.
@@ -107,7 +110,8 @@ def _tracked(arm: Arm, goals, q0, length, leap, slack, steps) -> Path:
     first = descent.into_limits(arm, tuple(q0[..., i] for i in range(arm.n)))
     _, path = jax.lax.scan(onward, jnp.stack(first, axis=-1), jnp.moveaxis(goals, -3, 0))
     axis = goals.ndim - 3
-    return jax.tree.map(lambda x: jnp.moveaxis(x, 0, axis), path)
+    path = jax.tree.map(lambda x: jnp.moveaxis(x, 0, axis), path)
+    return dataclasses.replace(path, goal_error=goal_error(goals))
 
 
 def _next(arm: Arm, goal, q, length, leap, slack, steps: int) -> Path:
@@ -115,15 +119,12 @@ def _next(arm: Arm, goal, q, length, leap, slack, steps: int) -> Path:
     pose, proper, near = asked(arm, entries_of(goal))
     now = tuple(q[..., i] for i in range(arm.n))
     starts = proposals(arm, pose, near)
-    starts = tuple(jnp.concatenate([x[None], y]) for x, y in zip(now, starts, strict=True))
+    here = tuple(x[None] for x in now)
+    starts = descent.into_limits(arm, starts, here)
+    starts = tuple(jnp.concatenate([x, y]) for x, y in zip(here, starts, strict=True))
     found = from_starts(arm, pose, proper, starts, length, steps, None)
-    values = tuple(
-        jnp.where(whole, _turned_near(x, here[None], low, high), x)
-        for x, here, whole, (low, high) in zip(
-            found.q, now, whole_turns(arm), descent.bounds(arm), strict=True
-        )
-    )
-    moves = functools.reduce(jnp.maximum, [abs(x - here[None]) for x, here in zip(values, now, strict=True)])
+    values = descent.into_limits(arm, found.q, here)
+    moves = functools.reduce(jnp.maximum, [abs(x - y) for x, y in zip(values, here, strict=True)])
     far = jnp.sqrt(found.cost)
     near_enough = far <= far.min(0, keepdims=True) + slack
     stays = near_enough[0]
@@ -139,9 +140,3 @@ def _next(arm: Arm, goal, q, length, leap, slack, steps: int) -> Path:
     gap, angle = pick(found.position_error), pick(found.rotation_error)
     reached = proper & (gap <= tolerance * size) & (angle <= tolerance)
     return Path(moved, proper & ~jumped, jumped, reached, pick(found.cost), gap, angle)
-
-
-def _turned_near(x, here, low, high):
-    """The same angle with the turns that bring it nearest to where the joint is, if the limits allow them."""
-    other = x + descent.TURN * jnp.round((here - x) / np.asarray(descent.TURN, x.dtype))
-    return jnp.where((other >= low) & (other <= high), other, x)

@@ -112,7 +112,8 @@ def _sane(value: jax.Array, most: int) -> jax.Array:
 def _blank(arm: Arm, shape: tuple[int, ...]) -> Solutions:
     slots = (*shape, len(arm.branches))
     number, flag = jnp.zeros(slots, arm.dtype), jnp.zeros(slots, bool)
-    return Solutions(jnp.zeros((*slots, arm.n), arm.dtype), flag, number, flag, number, number)
+    q, is_pose = jnp.zeros((*slots, arm.n), arm.dtype), jnp.ones(shape, bool)
+    return Solutions(q, flag, number, flag, number, number, is_pose)
 
 
 def _solutions(goal: Goal) -> Solutions:
@@ -120,7 +121,8 @@ def _solutions(goal: Goal) -> Solutions:
         return jnp.stack([jnp.broadcast_to(x, goal.shape) for x in values], axis=-1)
 
     q = jnp.stack([packed(slot.q) for slot in goal.slots], axis=-2)
-    return Solutions(q=q, **{name: packed([getattr(slot, name) for slot in goal.slots]) for name in FIELDS})
+    rest = {name: packed([getattr(slot, name) for slot in goal.slots]) for name in FIELDS}
+    return Solutions(q=q, is_pose=jnp.ones(goal.shape, bool), **rest)
 
 
 def unit_of_mean(slots: int, rolls: int) -> float:

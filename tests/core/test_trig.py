@@ -165,3 +165,16 @@ def test_angles_half_a_turn_apart_share_one_atan2():
         assert abs(trig.atan2(turned.sin, turned.cos) - wrap(turned.value)) < 1e-15
         assert trig.choose(jnp.bool_(True), given, turned).value == given.value
         assert trig.choose(jnp.bool_(False), given, turned).value == turned.value
+
+
+def test_whole_turns_are_added_to_two_roundings(dtype, rng):
+    x = rng.uniform(-math.pi, math.pi, 500).astype(dtype)
+    turns = rng.integers(-10_000, 10_000, 500)
+    turns[:300] = rng.integers(-2, 3, 300)
+    got = np.asarray(jax.jit(trig.with_turns)(x, jnp.asarray(turns, dtype)))
+    exact = [mp.mpf(float(a)) + 2 * mp.pi * int(k) for a, k in zip(x, turns, strict=True)]
+    off = [abs(float(mp.mpf(float(g)) - w)) / max(1, abs(float(w))) for g, w in zip(got, exact, strict=True)]
+    assert max(off) < 1.5 * np.finfo(dtype).eps
+    np.testing.assert_array_equal(got[turns == 0], x[turns == 0])
+    slope = jax.vmap(jax.grad(lambda x, k: trig.with_turns(x, k)))(jnp.asarray(x), jnp.asarray(turns, dtype))
+    np.testing.assert_array_equal(slope, 1)

@@ -3,10 +3,12 @@
 import warnings
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import ikjax
+from ikjax.solvers.family import reach
 
 ARM = ikjax.robots.get("puma560")
 Q = np.array([0.3, -0.5, 0.4, 0.7, -0.6, 0.2])
@@ -281,3 +283,63 @@ class TestQuaternions:
         wxyz = np.array([0.1, 0.7, -0.5, 0.5]) / np.linalg.norm([0.1, 0.7, -0.5, 0.5])
         one, other = (solve(ikjax.pose([0.4, 0.3, 0.2], wxyz=s * wxyz)) for s in (1, -1))
         np.testing.assert_array_equal(one.q, other.q)
+
+
+TYPED = np.array([[0.969, 0.247, 0], [0, 0, -1], [-0.247, 0.969, 0]])
+"""Three decimals: R^T R - I has norm 4e-5."""
+
+
+class TestNoPose:
+    def test_it_is_as_far_off_as_can_be_and_said_to_be_no_pose(self, dtype):
+        batch = np.tile(goal(dtype), (len(MASKED) + 1, 1, 1))
+        with np.errstate(over="ignore"):
+            batch[1:] = [bad.astype(dtype) for bad in MASKED.values()]
+        sol = solve(batch)
+        # A pose out of reach is one, in numbers that its type has.
+        far = np.array([name == "1000 times the reach" or name == "1e308" for name in MASKED])
+        far &= np.isfinite(batch[1:]).all((1, 2))
+        np.testing.assert_array_equal(sol.is_pose, [True, *far])
+        size = float(reach(ARM.baked()))
+        lost = ~np.asarray(sol.is_pose)
+        np.testing.assert_allclose(sol.margin[lost], -size, rtol=1e-6)
+        np.testing.assert_allclose(sol.position_error[lost], size, rtol=1e-6)
+        np.testing.assert_allclose(sol.rotation_error[lost], np.pi, rtol=1e-6)
+        assert not sol.continuum[lost].any()
+        inside = ikjax.limited_margins(ARM, sol)
+        assert (np.asarray(inside.margin)[lost] < 0).all()
+
+    def test_its_slopes_are_zero(self):
+        goals = jnp.asarray(np.stack([goal(), MASKED["rotation off by 1e-4"], MASKED["reflection"]]))
+
+        def total(arm, goals):
+            sol = ikjax.solve(arm, goals)
+            return sol.margin.sum() + sol.q.sum()
+
+        of_arm, of_goals = jax.jit(jax.grad(total, (0, 1)))(ARM, goals)
+        alone, first = jax.jit(jax.grad(total, (0, 1)))(ARM, goals[:1])
+        for one, other in zip(jax.tree.leaves(of_arm), jax.tree.leaves(alone), strict=True):
+            np.testing.assert_allclose(one, other, atol=1e-9)
+        np.testing.assert_array_equal(of_goals[1:], 0)
+        np.testing.assert_allclose(of_goals[:1], first, atol=1e-9)
+
+    def test_require_names_it_and_the_remedy_and_what_is_only_out_of_reach(self):
+        far = goal()
+        far[:3, 3] *= 10
+        batch = np.stack([goal(), goal().T, far, changed(R=TYPED)])
+        with pytest.raises(
+            ValueError,
+            match=r"(?s)2 of 4 goals are no poses: goal 1, 3\. .*"
+            r"pose\(matrix=T, orthonormalize=True\).*transposed\?.*1 of 4 goals have no solution: goal 2 .*-",
+        ):
+            solve(batch).require()
+        with pytest.raises(ValueError, match=r"no solution: goal 0") as caught:
+            solve(far[None]).require()
+        assert "poses" not in str(caught.value)
+        with pytest.raises(ValueError, match=r"norm 4e-05: of rounded numbers, ikjax\.pose\(matrix=T"):
+            ikjax.check_goals(ARM, changed(R=TYPED))
+
+    def test_inside_a_jit_it_is_said_too(self):
+        batch = jnp.asarray(np.stack([goal(), goal().T, changed(R=TYPED)]))
+        sol = jax.jit(jax.vmap(lambda T: ikjax.solve(ARM, T)))(batch)
+        np.testing.assert_array_equal(sol.is_pose, [True, False, False])
+        assert sol.is_pose.shape == (3,) and solve(batch.reshape(3, 1, 4, 4)).is_pose.shape == (3, 1)

@@ -198,3 +198,39 @@ def test_other_arms_are_projected_likewise(name):
     assert ((q >= low) & (q <= high)).all()
     for k in range(3):
         assert near.cost[k] <= multi_start(arm, goals[k], 8, k) * (1 + 1e-8)
+
+
+def test_a_bare_wrist_meets_every_orientation(costly_dtype):
+    """Three axes through a point, and no length to take for a unit."""
+    turns = np.array([-1, 1, 0]) * np.pi / 2
+    arm = ikjax.Arm.from_dh(a=[0] * 3, alpha=turns, d=[0] * 3, convention="standard", dtype=costly_dtype)
+    goals = np.asarray(ikjax.pose(rpy=np.random.default_rng(0).uniform(-1, 1, (5, 3))), costly_dtype)
+    ikjax.check_goals(arm, goals)
+    # A slope of `CONVERGED` in units of 1 m, where a radian is worth 0.1 m.
+    flat = 2e-3 if costly_dtype == np.float32 else 1e-6
+    start = np.full(3, 0.1, costly_dtype)
+    # Eagerly the arm's zeros are known, inside jit they are not.
+    for call in (ikjax.refine, jax.jit(ikjax.refine)):
+        near = call(arm, goals, start)
+        assert near.converged.all() and near.rotation_error.max() <= flat
+        assert near.position_error.max() == 0
+    assert ikjax.project(arm, goals).rotation_error.max() < 200 * np.finfo(costly_dtype).eps
+    moves = ikjax.manipulability(arm, near.q)
+    np.testing.assert_allclose(moves, abs(np.sin(near.q[:, 1])), rtol=1e-5)
+    slope = jax.grad(lambda a: ikjax.refine(dataclasses.replace(arm, a=a), goals, start).cost.sum())(arm.a)
+    assert np.isfinite(slope).all()
+
+
+def test_a_gantry_without_lengths_is_solved_tracked_and_projected(dtype):
+    arm = ikjax.Arm.from_dh(a=[0] * 2, alpha=[np.pi / 2, 0], d=[0] * 2, kinds="PP", convention="standard")
+    arm = arm.astype(dtype)
+    q = np.array([[0.3, -2.0], [4.0, 0.1]], dtype)
+    goals = ikjax.fk(arm, q)
+    sol = ikjax.solve(arm, goals).require()
+    np.testing.assert_allclose(sol.q[:, 0], q, atol=1e-5)
+    assert (np.asarray(sol.margin) > 0).all()
+    path = ikjax.track(arm, goals, q[0])
+    assert path.reached.all()
+    np.testing.assert_allclose(ikjax.project(arm, goals, beside=0).q, q, atol=1e-5)
+    far = ikjax.solve(arm, jnp.asarray(goals).at[:, :3, 3].add(1))
+    assert np.isfinite(far.margin).all() and np.isfinite(ikjax.limit_distance(arm, q)).all()

@@ -228,3 +228,119 @@ def test_branches_that_are_level_do_not_take_turns(dtype):
 def test_options_that_do_not_go_together_are_named(options, message):
     with pytest.raises(ValueError, match=message):
         ikjax.refine(ARM, wild(ARM, 1)[0], **{"q0": np.zeros(5), **options})
+
+
+def typed(arm, q, decimals=3):
+    """Goals with so many decimals, and the poses meant."""
+    meant = np.array(ikjax.fk(arm, q))
+    goals = meant.copy()
+    goals[:, :3, :3] = goals[:, :3, :3].round(decimals)
+    return goals, meant
+
+
+NO_POSES = {
+    "off by more than a hundredth": np.diag([1.02, 1, 1, 1.0]),
+    "a reflection": np.diag([1, 1, -1, 1.0]),
+    "not finite": np.diag([1, 1, np.inf, 1.0]),
+    "another bottom row": np.diag([1, 1, 1, 2.0]),
+    "transposed": np.eye(4) + np.diag([0.3], -3),
+}
+
+
+def test_typed_decimals_are_taken_for_the_nearest_rotation_and_said(dtype):
+    q = np.random.default_rng(5).uniform(-1, 1, (30, 5))
+    goals, meant = typed(ARM, q)
+    norm = np.linalg.norm(np.swapaxes(goals[:, :3, :3], 1, 2) @ goals[:, :3, :3] - np.eye(3), axis=(1, 2))
+    assert 1e-4 < norm.max() < 5e-3
+    u, _, v = np.linalg.svd(goals[:, :3, :3])
+    nearest = goals.copy()
+    nearest[:, :3, :3] = u @ v
+    near = ikjax.refine(ARM, goals.astype(dtype), (q + 0.05).astype(dtype))
+    np.testing.assert_allclose(near.goal_error, norm, atol=8 * np.finfo(dtype).eps)
+    assert near.branches.goal_error is None
+    # Measured against the nearest rotation, and so as near to what was meant as it was typed.
+    gap, angle = ikjax.pose_error(ikjax.fk(ARM, np.asarray(near.q, float)), nearest)
+    close = 1e-6 if dtype == np.float64 else 2e-3
+    np.testing.assert_allclose(near.rotation_error, angle, atol=close)
+    np.testing.assert_allclose(near.position_error, gap, atol=close)
+    assert near.converged.all() and (np.asarray(gap) < 2e-3).all() and (np.asarray(angle) < 5e-3).all()
+    assert ikjax.pose_error(ikjax.fk(ARM, np.asarray(near.q, float)), meant)[1].max() < 5e-3
+
+
+@pytest.mark.parametrize("case", NO_POSES)
+def test_nothing_is_measured_against_what_stands_for_a_goal_that_is_no_pose(case):
+    goals, q0 = np.stack([wild(ARM, 1)[0], NO_POSES[case]]), np.array([0.3, -0.2, 0.4, 0.1, 0.2])
+    for call in (ikjax.refine, jax.jit(ikjax.refine)):
+        near = call(ARM, goals, q0)
+        assert near.converged.tolist() == [True, False]
+        for field in ("cost", "position_error", "rotation_error", "gradient_norm"):
+            assert np.isnan(getattr(near, field)).tolist() == [False, True], field
+        np.testing.assert_array_equal(near.q[1], q0)
+        assert near.goal_error[0] < 1e-14 and near.goal_error[1] > 1e-2
+
+    def total(goals):
+        near = ikjax.refine(ARM, goals, q0)
+        return jnp.where(near.converged, near.cost, 0).sum() + near.q.sum()
+
+    slope = np.asarray(jax.jit(jax.grad(total))(goals))
+    assert np.isfinite(slope).all() and slope[0].any() and not slope[1].any()
+
+
+def test_a_loss_is_handed_the_nearest_rotation_and_goals_that_have_none_as_they_are():
+    goals = np.stack([typed(ARM, np.zeros((1, 5)) + 0.3)[0][0], NO_POSES["a reflection"]])
+    seen = ikjax.refine(ARM, goals, np.zeros(5), loss=lambda arm, T, q: jnp.linalg.det(T[:3, :3]), steps=1)
+    np.testing.assert_allclose(seen.cost, [1, -1], atol=1e-14)
+    assert np.isnan(seen.rotation_error).tolist() == [False, True] and not seen.converged[1]
+
+
+def test_the_slope_at_a_typed_goal_is_that_of_its_nearest_rotation():
+    goal = jnp.asarray(typed(ARM, np.full((1, 5), 0.4))[0][0]).at[0, 3].add(0.3)
+    change, h = np.random.default_rng(1).normal(size=(4, 4)) * np.array([[1]] * 3 + [[0]]), 1e-5
+
+    @jax.jit
+    def near(t):
+        found = ikjax.refine(ARM, goal + t * change, jnp.full(5, 0.4))
+        return jnp.concatenate([found.q, jnp.stack([found.cost, found.rotation_error])])
+
+    _, slope = jax.jvp(near, (0.0,), (1.0,))
+    np.testing.assert_allclose(slope, (near(h) - near(-h)) / (2 * h), rtol=1e-4, atol=1e-6)
+
+
+def test_converged_is_not_said_where_rounding_decides():
+    """Far from the world's origin float32 has steps of centimetres."""
+    q = np.random.default_rng(2).uniform(-1, 1, (5, 5)).astype(np.float32)
+    for distance, wanted in ((0.0, True), (10.0, True), (1e5, False)):
+        arm = dataclasses.replace(ARM, base=ARM.base.at[0, 3].set(distance)).astype(np.float32)
+        near = ikjax.refine(arm, ikjax.fk(arm, q), q)
+        assert near.converged.tolist() == [wanted] * 5
+
+
+def test_converged_is_not_said_where_kilometres_in_the_table_hide_the_arm():
+    """Axes 2 and 3 are parallel but for 1e-5 rad, and their offsets of 40 km make up for each other."""
+    arm = ikjax.Arm.from_dh(
+        a=[0, 0.3, 0.2, 0, 0, 0],
+        alpha=[1.4, 1e-5, 1.2, -1.3, 1.1, 0],
+        d=[0.2, 4e4, -4e4, 0.3, 0.1, 0.1],
+        convention="standard",
+    )
+    assert arm.family is None
+    q = np.random.default_rng(2).uniform(-1, 1, (5, 6))
+    near = ikjax.refine(arm, ikjax.fk(arm, q), q + 0.3)
+    assert not near.converged.any()
+    plain = dataclasses.replace(arm, d=jnp.array([0.2, 0.1, -0.1, 0.3, 0.1, 0.1]))
+    assert ikjax.refine(plain, ikjax.fk(plain, q), q + 0.3).converged.all()
+
+
+def test_a_start_outside_the_limits_takes_as_few_turns_as_will_do():
+    arm = dataclasses.replace(
+        ARM, limits=jnp.asarray([[-6.2, 6.2], [1.0, 2.0], [-20, 20], [4, 100], [-1, 0.5]])
+    )
+    q = columns(np.array([7.0, 9.0, 15.0, 1.0, 2.5]))
+    inside = np.stack(descent.into_limits(arm, q))
+    turn = 2 * np.pi
+    # The last fits at no turn: it stands at the end that it passes by less.
+    np.testing.assert_allclose(inside, [7 - turn, 2.0, 15.0, 1 + turn, 0.5], rtol=1e-15)
+    near = columns(np.array([-5.0, 0, -18.0, 50.0, 0]))
+    inside = np.stack(descent.into_limits(arm, q, near))
+    wanted = [7 - 2 * turn, 2.0, 15 - 5 * turn, 1 + 8 * turn, 0.5]
+    np.testing.assert_allclose(inside, wanted, rtol=1e-14)

@@ -10,6 +10,7 @@ import pytest
 import ikjax
 
 ARM = ikjax.robots.get("puma560")
+FREE = dataclasses.replace(ARM, limits=jnp.asarray(np.tile([-np.inf, np.inf], (6, 1))))
 PI = np.pi
 
 
@@ -47,10 +48,20 @@ class TestNearest:
         assert bool(found)
         np.testing.assert_array_equal(q, many_small)
 
-    def test_a_joint_is_near_across_the_seam(self, dtype):
+    def test_a_joint_is_near_across_the_seam_and_goes_on_turning(self, dtype):
         sol = solutions(np.array([row(2.0), row(-PI + 0.1)], dtype))
-        q, _ = ikjax.nearest(ARM, sol, row(PI - 0.1, dtype=dtype))
-        assert float(q[0]) == np.asarray(-PI + 0.1, dtype)
+        q, _ = ikjax.nearest(FREE.astype(dtype), sol, row(PI - 0.1, dtype=dtype))
+        assert float(q[0]) == pytest.approx(PI + 0.1, abs=8 * eps(dtype))
+
+    def test_a_joint_that_may_not_turn_on_goes_back(self):
+        sol = solutions([row(2.0), row(-PI + 0.1)])
+        q, _ = ikjax.nearest(limited(-PI, PI), sol, row(PI - 0.1))
+        assert float(q[0]) == 2.0
+
+    def test_a_joint_that_no_turn_brings_inside_is_compared_without_its_limits(self):
+        sol = solutions([row(0.5), row(2.5)])
+        q, found = ikjax.nearest(limited(-0.1, 0.1), sol, row(7.0))
+        assert bool(found) and float(q[0]) == pytest.approx(0.5 + 2 * PI)
 
     def test_a_sliding_joint_has_no_seam(self):
         arm = dataclasses.replace(ARM, kinds="PRRRRR")
@@ -62,8 +73,8 @@ class TestNearest:
         now = np.asarray(turns * 2 * PI + 0.5, dtype)
         exact = np.remainder(np.float64(now), 2 * PI)
         sol = solutions(np.array([row(exact + 0.2), row(exact - 0.1), row(exact + 0.15)], dtype))
-        q, _ = ikjax.nearest(ARM, sol, row(now, dtype=dtype))
-        assert float(q[0]) == float(sol.q[1, 0])
+        q, _ = ikjax.nearest(FREE.astype(dtype), sol, row(now, dtype=dtype))
+        assert float(q[0]) == pytest.approx(float(now) - 0.1, abs=2e5 * eps(dtype))
 
     def test_weights_scale_the_moves(self):
         sol = solutions([row(1.0), row(0.0, 0.9)])
@@ -91,17 +102,17 @@ class TestNearest:
     def test_jit_and_vmap_choose_the_same(self, rng):
         sol = solutions(rng.uniform(-PI, PI, (20, 8, 6)), rng.uniform(size=(20, 8)) < 0.6)
         now = rng.uniform(-PI, PI, (20, 6))
-        wanted = ikjax.nearest(ARM, sol, now)
+        wanted = ikjax.nearest(FREE, sol, now)
 
         def call(sol, now):
-            return ikjax.nearest(ARM, sol, now)
+            return ikjax.nearest(FREE, sol, now)
 
         for other in (jax.jit(call), jax.vmap(call), jax.jit(jax.vmap(call))):
             for u, v in zip(other(sol, jnp.asarray(now)), wanted, strict=True):
                 np.testing.assert_array_equal(u, v)
-        move = np.abs((np.asarray(sol.q) - now[:, None] + PI) % (2 * PI) - PI).max(-1)
-        best = np.where(sol.valid, move, np.inf).argmin(-1)
-        np.testing.assert_array_equal(wanted[0], np.asarray(sol.q)[np.arange(20), best])
+        move = (np.asarray(sol.q) - now[:, None] + PI) % (2 * PI) - PI
+        best = np.where(sol.valid, np.abs(move).max(-1), np.inf).argmin(-1)
+        np.testing.assert_allclose(wanted[0], now + move[np.arange(20), best], atol=1e-14)
 
     @pytest.mark.parametrize("shape", [(), (5,), (7,), (6, 1)])
     def test_a_wrong_place_raises(self, shape):

@@ -1,5 +1,8 @@
 """A path followed on one branch: steps, jumps, and goals that are no poses."""
 
+import dataclasses
+
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -44,3 +47,38 @@ def test_an_attainable_path_is_followed_on_its_branch_and_a_bad_goal_is_waited_o
 def test_a_path_of_another_shape_raises(shape):
     with pytest.raises(ValueError, match="goals must have shape"):
         ikjax.track(ARM, np.zeros(shape), np.zeros(5))
+
+
+def test_turns_are_counted_on_within_the_limits_and_unwound_beyond_them():
+    """A tool that turns on and on, seen from a joint that may turn twice."""
+    arm = ikjax.robots.planar_3r()
+    turn = 2 * np.pi
+    arm = dataclasses.replace(arm, limits=jnp.asarray([[-3, 3], [-3, 3], [-1.0, 1.2 * turn]]))
+    q0 = np.array([0.4, 0.9, 0.2])
+    goals = np.array(ikjax.fk(arm, q0 + np.linspace(0, 1.1 * turn, 40)[:, None] * [0, 0, 1]))
+    path = ikjax.track(arm, goals, q0)
+    assert path.reached.all() and path.followed.all()
+    np.testing.assert_allclose(path.q[-1], [0.4, 0.9, 0.2 + 1.1 * turn], atol=1e-7)
+    # Each goal alone, from where the path ended: the turn is kept, not given back.
+    stays = ikjax.track(arm, goals[-1:], path.q[-1])
+    np.testing.assert_allclose(stays.q[0], path.q[-1], atol=1e-7)
+    tight = dataclasses.replace(arm, limits=jnp.asarray([[-3, 3], [-3, 3], [-1.0, 6.0]]))
+    path = ikjax.track(tight, goals, q0)
+    assert path.reached.mean() > 0.9 and path.jumped.sum() == 1
+    assert (np.asarray(path.q)[:, 2] <= 6).all() and (np.asarray(path.q)[:, 2] >= -1).all()
+
+
+def test_typed_goals_are_followed_and_goals_that_are_no_poses_waited_out():
+    arm = ikjax.robots.planar_3r()
+    q = np.array([0.4, 0.9, 0.2]) + np.linspace(0, 0.5, 5)[:, None]
+    goals = np.array(ikjax.fk(arm, q))
+    goals[:, :3, :3] = goals[:, :3, :3].round(3)
+    goals[2, :3, :3] = np.diag([1, 1, -1])
+    path = ikjax.track(arm, goals, q[0])
+    lost = np.arange(5) == 2
+    np.testing.assert_array_equal(path.reached, ~lost)
+    assert (np.asarray(path.goal_error)[~lost] < 5e-3).all() and np.isinf(path.goal_error[2])
+    for field in ("cost", "position_error", "rotation_error"):
+        np.testing.assert_array_equal(np.isnan(getattr(path, field)), lost)
+    np.testing.assert_array_equal(path.q[2], path.q[1])
+    np.testing.assert_allclose(path.q[~lost], q[~lost], atol=5e-3)
