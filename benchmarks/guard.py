@@ -1,8 +1,9 @@
 """Whether the library is as fast where users stand as in its own loops: `make guard`, under three minutes.
 
-Every figure is a ratio of two times from this one process, so that it holds on any machine: how many times slower
-a user's call is than the library's own kernel, sweep or an empty program. A ratio above its bound fails the
-run. Bounds are two to three times what was measured when they were set, on two cores without AVX-512.
+Every figure is a ratio of two times from this one process, so that it holds on any machine: how many times
+slower a user's call is than the library's own kernel, sweep or an empty program. A ratio above its bound
+fails the run. Bounds are two to three times what was measured when they were set, on two cores without
+AVX-512.
 
     python benchmarks/guard.py [--only WORD] [--out FILE]
 

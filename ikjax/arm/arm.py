@@ -333,6 +333,6 @@ def _nearest(given: Axes, leaves: dict, tolerance: float | None, family, up: int
 
 def numbers(leaf: Number) -> tuple[Scalar, ...]:
     """The entries of a 1-D leaf: Python floats where they are known, else array scalars."""
-    if isinstance(leaf, np.ndarray):
-        return tuple(x if isinstance(x, jax.Array) else float(x) for x in leaf)
-    return tuple(leaf[i] for i in range(leaf.shape[0]))
+    if isinstance(leaf, jax.core.Tracer):
+        return tuple(leaf[i] for i in range(leaf.shape[0]))
+    return tuple(x if isinstance(x, jax.Array) else float(x) for x in np.asarray(leaf))

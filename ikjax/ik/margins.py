@@ -68,6 +68,7 @@ def limited_margins(arm: Arm, sol: Solutions) -> Solutions:
         arm: The arm, with limits.
         sol: From `solve`, as it came.
     """
+    arm = arm.baked()
     spare = reach(arm) * limit_distance(arm, sol.q)
     spare = jnp.asarray(spare, sol.margin.dtype)
     margin = jnp.minimum(sol.margin, jnp.where(sol.valid, spare, 0))

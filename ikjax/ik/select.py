@@ -46,7 +46,8 @@ def nearest(arm: Arm, sol: Solutions, q_now, weights=None) -> tuple[jax.Array, j
     Args:
         arm: The arm, with limits (n, 2); with infinite ones, all turns will do.
         sol: From `solve`, perhaps through `within_limits`.
-        q_now: Where the arm is, (..., n) [rad, m]; any number of turns away.
+        q_now: Where the arm is, (..., n) [rad, m]; any number of turns away. Where a turning joint is beyond
+            four turns, a warning asks whether these are degrees.
         weights: (n,) non-negative factors on the moves, one by default.
 
     Returns:

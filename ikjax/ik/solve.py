@@ -51,7 +51,7 @@ def solve(
     """
     check_family(arm)
     goals = as_goals(goals)
-    arm = arm.astype(goals.dtype)
+    arm = arm.astype(goals.dtype).baked()
     batch = goals.shape[:-2]
     if q_now is not None:
         q_now = as_array(q_now, goals.dtype)
@@ -76,7 +76,7 @@ def _solved(arm: Arm, goals: jax.Array, q_now, tolerance) -> Solutions:
     """`Solutions` without slopes."""
     if is_traced((arm, goals, q_now)):
         # What of the arm is not traced itself becomes constants of the caller's jit.
-        return solve_here(arm.baked(), goals, q_now, tolerance)
+        return solve_here(arm, goals, q_now, tolerance)
     batch = goals.shape[:-2]
     flat = goals.reshape(-1, 4, 4)
     now = None if q_now is None else q_now.reshape(-1, arm.n)

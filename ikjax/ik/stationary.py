@@ -32,7 +32,9 @@ def with_slopes(arm: Arm, goals, q, bottom, length, converged, priority: str):
     Those of the joints are taken at `bottom`, of the sum of which one error is worth little: there, and not
     where the other is gone, what holds the pose is seen in what is left of it.
     """
-    bottom = _bottom(priority, arm, goals, bottom, jax.lax.stop_gradient(length), converged)
+    known, leaves = arm.split(whole=True)
+    arm = Arm.join(known, leaves)
+    bottom = _bottom(priority, known, leaves, goals, bottom, jax.lax.stop_gradient(length), converged)
     q = q + (bottom - jax.lax.stop_gradient(bottom))
     goal, proper = _nearest(arm, goals)
     columns = _columns(q)
@@ -62,24 +64,24 @@ def _nearest(arm: Arm, goals) -> tuple[Pose, jax.Array]:
     return jax.tree.map(lambda x: hold(x)[None], goal), (off <= NEARLY_ROTATION)[None]
 
 
-@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _bottom(priority: str, arm: Arm, goals, q, length, converged):
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
+def _bottom(priority: str, known: tuple, leaves: list, goals, q, length, converged):
     return q
 
 
 @_bottom.defjvp
-def _(priority: str, primals, tangents):
-    arm, goals, q, length, converged = primals
+def _(priority: str, known: tuple, primals, tangents):
+    leaves, goals, q, length, converged = primals
     # Called again, it moves with the goal in slopes of slopes.
-    q = _bottom(priority, arm, goals, q, length, converged)
-    columns = _columns(q)
+    q = _bottom(priority, known, leaves, goals, q, length, converged)
+    arm, columns = Arm.join(known, leaves), _columns(q)
 
-    def slope(arm, goals):
-        goal, _ = _nearest(arm, goals)
-        return descent.standing(arm, wish(arm, goal, length, priority), columns, _hold(columns))
+    def slope(leaves, goals):
+        moving = dataclasses.replace(Arm.join(known, leaves), limits=arm.limits)
+        goal, _ = _nearest(moving, goals)
+        return descent.standing(moving, wish(moving, goal, length, priority), columns, _hold(columns))
 
-    moved_arm = dataclasses.replace(tangents[0], limits=jnp.zeros_like(arm.limits))
-    at, rate = jax.jvp(slope, (arm, goals), (moved_arm, tangents[1]))
+    at, rate = jax.jvp(slope, (leaves, goals), tangents[:2])
     back = descent.held_back(arm, columns, at.slope)
     still = ~jnp.moveaxis(converged, -1, 0)
     fixed = [b | still for b in back]
