@@ -5,13 +5,13 @@ readable; what comes out of a map is escaped, since a map may come from anyone.
 """
 
 import base64
-import html
 import io
 import json
 import shlex
 
 import numpy as np
 
+from ikjax.core.text import html
 from ikjax.plot.bars import histogram
 from ikjax.plot.contrast import comparison
 from ikjax.plot.disc import globe
@@ -55,8 +55,8 @@ def page(reach: ReachMap, then: ReachMap | None = None, name: str = "map.zarr") 
     """
     plt = pyplot()
     arm = reach.arm
-    parts = [_HEAD.format(title=html.escape(f"{arm.name}: {name}"))]
-    parts.append(f"<h1>{html.escape(arm.name)}</h1>\n{_text(reach.summary())}")
+    parts = [_HEAD.format(title=html(f"{arm.name}: {name}"))]
+    parts.append(f"<h1>{html(arm.name)}</h1>\n{_text(reach.summary())}")
 
     def show(title: str, words: str, figure) -> None:
         parts.append(f"<h2>{title}</h2>\n<p>{words}</p>\n{_picture(figure)}")
@@ -146,7 +146,7 @@ def _study(reach: ReachMap) -> dict:
 
 
 def _text(words: str) -> str:
-    return f"<pre>{html.escape(words)}</pre>"
+    return f"<pre>{html(words)}</pre>"
 
 
 def _picture(figure) -> str:

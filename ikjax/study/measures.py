@@ -22,6 +22,7 @@ from ikjax.solvers.branch import Slide
 from ikjax.study import dexterity
 from ikjax.study.goal import Goal, Lane
 from ikjax.study.limits import distance
+from ikjax.study.spec import check_name
 
 LARGEST = 8.0
 """Manipulabilities beyond are averaged as this."""
@@ -48,8 +49,7 @@ class Measure:
     """Of a sum: each number is rounded to whole units, so that sums come out the same in any order."""
 
     def __post_init__(self):
-        if not re.fullmatch(r"[a-z][a-z0-9_]*", self.name):
-            raise ValueError(f"name must be of small letters, digits and _, got {self.name!r}")
+        check_name(self.name)
         if self.reduce not in ("sum", "max", "min"):
             raise ValueError(f'reduce must be "sum", "max" or "min", got {self.reduce!r}')
         if not 0 < self.unit < math.inf:
