@@ -98,7 +98,7 @@ def repeat(reach: ReachMap, name: str) -> str:
     """Commands that make a map again, to be run where `name` is."""
     few = isinstance(reach.directions, Even | Cone)
     which = repr(reach.directions) if few else f"{reach.orientations:,} rotations"
-    words = {key: _statistic(key, told, reach) for key, told in reach.told.items()}
+    words = {key: _statistic(key, told) for key, told in reach.told.items()}
     names = ", ".join(words.values())
     own = [key for key, word in words.items() if word == key]
     given = "".join(f"{key} = ...  # the ikjax.Measure of that name, as it was\n" for key in own)
@@ -118,12 +118,12 @@ ikjax show {shell}
 ikjax show {shell} again.zarr"""
 
 
-def _statistic(key: str, told: dict, reach: ReachMap) -> str:
+def _statistic(key: str, told: dict) -> str:
     """A statistic in Python; of a measure of one's own its name, as a variable."""
     if "near" in told:
         position, rotation = told["near"]
         return f"ikjax.Near({position!r}, {rotation!r}, {key!r})"
-    return repr(key) if key in statistics.available(reach.arm) else key
+    return repr(key) if key in statistics.available() else key
 
 
 def _counted(reach: ReachMap) -> bool:

@@ -95,7 +95,7 @@ def _understood(said: dict, folder: pathlib.Path) -> Recipe:
         raise ValueError(f'arm must be a name or a file, as in "puma560", got {said["arm"]!r}')
     arm = _limited(find_arm(said["arm"], folder), said.get("limits"))
     positions = _positions(said, arm, folder)
-    statistics, known = said.get("statistics", list(STATISTICS)), available(arm)
+    statistics, known = said.get("statistics", list(STATISTICS)), available()
     if not isinstance(statistics, list) or not all(name in known for name in statistics) or not statistics:
         raise ValueError(f"statistics must be a list of {', '.join(known)}, got {statistics!r}")
     rolls = said.get("rolls", 1)

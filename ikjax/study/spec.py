@@ -93,6 +93,13 @@ def of_set(chosen) -> dict:
     return {"kind": type(chosen).__name__, **plain}
 
 
+def frozen(array) -> np.ndarray:
+    """A copy that nobody can write to, so that a map keeps the numbers that its spec has the hash of."""
+    copy = np.array(array, float)
+    copy.setflags(write=False)
+    return copy
+
+
 def hash_of(array: np.ndarray) -> str:
     """SHA-256 of the numbers as little-endian float64."""
     return hashlib.sha256(np.ascontiguousarray(array, "<f8").tobytes()).hexdigest()
