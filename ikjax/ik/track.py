@@ -16,6 +16,7 @@ from ikjax.arm.forward import whole_turns
 from ikjax.ik import descent
 from ikjax.ik.graph import entries_of
 from ikjax.ik.refine import asked, checked, from_starts, proposals
+from ikjax.ik.solve import check_family
 from ikjax.solvers.family import TOLERANCE, reach
 
 STEPS = 24
@@ -81,6 +82,7 @@ def track(
     Raises:
         ValueError: Wrong shapes or types, or an arm of no family.
     """
+    check_family(arm)
     goals, arm = checked(arm, goals, length, steps)
     if goals.ndim < 3:
         raise ValueError(f"goals must have shape (..., T, 4, 4), got {goals.shape}")

@@ -1,5 +1,7 @@
 """A path followed on one branch: steps, jumps, and goals that are no poses."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -44,3 +46,9 @@ def test_an_attainable_path_is_followed_on_its_branch_and_a_bad_goal_is_waited_o
 def test_a_path_of_another_shape_raises(shape):
     with pytest.raises(ValueError, match="goals must have shape"):
         ikjax.track(ARM, np.zeros(shape), np.zeros(5))
+
+
+def test_an_arm_of_no_family_raises_by_name():
+    arm = dataclasses.replace(ARM, family=None)
+    with pytest.raises(ValueError, match="motoman_l3 has no closed form"):
+        ikjax.track(arm, np.tile(np.eye(4), (3, 1, 1)), np.zeros(5))
