@@ -39,12 +39,19 @@ class Parameters:
     upper: tuple[float, ...]
     ties: tuple[tuple[float, ...], ...] = ()
     """A row for each tie: its factors, one for each name, and then what they sum up to."""
+    rules: tuple[tuple[float, ...], ...] = ()
+    """A row for each linear constraint: its factors, and then what they sum up to at most."""
 
     def values(self, z: jax.Array) -> jax.Array:
         """The numbers (k,) of coordinates z (k,): within bounds, and tied."""
         lower = jnp.asarray(self.lower, z.dtype)
         width = jnp.asarray(self.upper, z.dtype) - lower
         return lower + width * jax.nn.sigmoid(self._tied(z))
+
+    def over(self, values: jax.Array) -> jax.Array:
+        """How far each linear constraint is above zero at numbers (k,): (c,)."""
+        table = jnp.asarray(np.reshape(self.rules, (-1, len(self.names) + 1)), values.dtype)
+        return (table[:, :-1] * values[None]).sum(-1) - table[:, -1]
 
     def coordinates(self, values) -> np.ndarray:
         """z of numbers (k,); those at a bound or beyond are taken a thousandth of the way inside."""
