@@ -1,7 +1,6 @@
 """Our own rows: the kernel alone, `solve` eager, `solve` inside a user's jit, and the sweep."""
 
 import dataclasses
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
@@ -12,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import ikjax
+from ikjax.core import cores
 from ikjax.core.pose import Pose
 from ikjax.ik.blocks import wide_vectors
 from ikjax.solvers.family import TOLERANCE, solve_scalars
@@ -19,7 +19,7 @@ from ikjax.solvers.family import TOLERANCE, solve_scalars
 BLOCK = 4096
 """Goals in a block of the kernel row, as in `ikjax.solve`."""
 
-CORES = os.cpu_count() or 1
+CORES = cores.usable()
 THREADS = ThreadPoolExecutor(CORES)
 
 

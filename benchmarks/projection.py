@@ -8,7 +8,6 @@ scipy from random joints, and against the best of 64 starts of our own, which ar
 """
 
 import argparse
-import os
 import time
 from concurrent.futures import ThreadPoolExecutor
 
@@ -20,11 +19,12 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 import ikjax
+from ikjax.core import cores
 from ikjax.ik.blocks import BLOCK, wide_vectors
 from ikjax.ik.refine import closed
 
 LENGTH = 0.1
-CORES = os.cpu_count() or 1
+CORES = cores.usable()
 
 
 def goals_of(arm, count: int, seed: int = 0) -> np.ndarray:

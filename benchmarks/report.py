@@ -14,6 +14,7 @@ import clock
 import trig_rows
 
 import ikjax
+from ikjax.core import cores
 
 PACKAGES = ("jax", "jaxlib", "numpy", "eaik", "py-opw-kinematics", "ssik", "mpmath")
 
@@ -51,13 +52,12 @@ class Failure:
 
 def environment(quick: bool) -> dict[str, str]:
     """The machine, the versions and the commit."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     model, flags = _cpu()
     found = {
         "date": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "commit": _commit(),
         "sizes": "quick, not for quoting" if quick else "full",
-        "cpu": f"{model}, {cores} cores, {'AVX-512' if 'avx512f' in flags else 'no AVX-512'}",
+        "cpu": f"{model}, {cores.usable()} cores, {'AVX-512' if 'avx512f' in flags else 'no AVX-512'}",
         "load at the start": f"{os.getloadavg()[0]:.2f}",
         "python": platform.python_version(),
         "ikjax": ikjax.__version__,

@@ -7,7 +7,6 @@ a goal: of a machine that others work on, no clock on the wall says much.
 """
 
 import dataclasses
-import os
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -17,9 +16,10 @@ import jax
 import jax.numpy as jnp
 
 import ikjax
+from ikjax.core import cores
 
 GOALS, DESIGNS, RUNS = 100_000, 1_000, 7
-BLOCK, CORES = 2_000, os.cpu_count() or 1
+BLOCK, CORES = 2_000, cores.usable()
 THREADS = ThreadPoolExecutor(CORES)
 
 

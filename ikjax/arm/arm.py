@@ -17,6 +17,7 @@ from ikjax.arm import dh, freedom, structure, table
 from ikjax.arm.axes import Axes, Rewritten, rewritten
 from ikjax.arm.rules import RULES
 from ikjax.core import pose as poses
+from ikjax.core import text
 from ikjax.core.known import as_array, constants, is_traced
 from ikjax.core.trig import Scalar
 
@@ -68,6 +69,11 @@ class Arm:
     """What each slot means, in slot order."""
     task: str = dataclasses.field(metadata={"static": True})
     """What a goal controls: "pose", "position", "planar_pose" or "planar_position"."""
+
+    def __post_init__(self):
+        # Files name arms, and names go into tables, errors and logs: there they are one line each.
+        object.__setattr__(self, "name", text.line(self.name))
+        object.__setattr__(self, "branches", tuple(map(text.line, self.branches)))
 
     @staticmethod
     def from_dh(

@@ -13,6 +13,7 @@ import numpy as np
 
 import ikjax
 from ikjax.cli.say import file_options, say
+from ikjax.core.text import markdown
 from ikjax.study import recipe
 
 
@@ -24,9 +25,10 @@ def run_verify(options) -> int:
     ]
     head = ("arm", "family", "type", "goals", "success", "wrong", "none", "missing", "singular", "worst")
     rows = [[*map(str, report[:-1]), f"{report.worst:.1e}"] for report in reports]
-    lines = ["| " + " | ".join(row) + " |" for row in (head, ["---"] * len(head), *rows)]
+    table = (head, ["---"] * len(head), *([markdown(row[0]), *row[1:]] for row in rows))
+    lines = ["| " + " | ".join(row) + " |" for row in table]
     if options.out:
-        pathlib.Path(options.out).write_text("\n".join(lines) + "\n")
+        pathlib.Path(options.out).write_text("\n".join(lines) + "\n", encoding="utf-8")
     width = [max(len(row[k]) for row in (head, *rows)) for k in range(len(head))]
     text = ["  ".join(cell.ljust(w) for cell, w in zip(row, width, strict=True)) for row in (head, *rows)]
     say(options, "\n".join(text), {report.arm: report._asdict() for report in reports})

@@ -10,8 +10,9 @@ import sys
 import jax
 
 import ikjax
-from ikjax.cli.say import FILE_OPTIONS, complain, file_options, plain
+from ikjax.cli.say import FILE_OPTIONS, complain, file_options
 from ikjax.cli.show import check_places, report
+from ikjax.core.text import line
 from ikjax.study import recipe
 from ikjax.study.orientations import as_orientations
 from ikjax.study.place import StorageError
@@ -70,7 +71,7 @@ def run_sweep(options) -> int:
     leads = jax.process_index() == 0
     if leads and not options.json:
         count = as_orientations(study.orientations).count
-        print(plain(f"sweeping {study.arm.name}: {positions * count:,} goals"), file=sys.stderr)
+        print(line(f"sweeping {study.arm.name}: {positions * count:,} goals"), file=sys.stderr)
     with Stop(options.max_hours) as stop:
         try:
             reach = ikjax.sweep(

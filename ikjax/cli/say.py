@@ -7,16 +7,18 @@ import json
 import re
 import sys
 
+from ikjax.core.text import one_line, printable
+
 FILE_OPTIONS = ("base", "tip", "tolerance")
 
 
 def say(options, text: str, data: dict) -> None:
-    print(json.dumps(data, allow_nan=False) if options.json else plain(text))
+    print(json.dumps(data, allow_nan=False) if options.json else printable(text))
 
 
 def complain(message: object) -> None:
     """One line on stderr."""
-    print(f"ikjax: {plain(' '.join(str(message).split()))}", file=sys.stderr)
+    print(f"ikjax: {one_line(message)}", file=sys.stderr)
 
 
 def file_options(options) -> dict:
@@ -29,8 +31,3 @@ def in_flags(options, text: str) -> str:
     if not hasattr(options, "tip") or str(options.arm).endswith(".toml"):
         return text
     return re.sub(rf"\b({'|'.join(FILE_OPTIONS)})=(:?)", lambda m: f"--{m[1]}{m[2] or ' '}", text)
-
-
-def plain(text: str) -> str:
-    """Text without control characters, which a name could use to write over the terminal."""
-    return "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in text)

@@ -11,8 +11,8 @@ import ikjax
 from ikjax.cli.checks import run_doctor, run_verify
 from ikjax.cli.info import run_info, run_solve
 from ikjax.cli.maps import run_sweep
-from ikjax.cli.say import plain
 from ikjax.cli.show import run_show
+from ikjax.core.text import one_line
 from ikjax.study.stop import OTHERS_ENDED, TIME_IS_UP
 
 ARM = "an arm of the catalogue, or a URDF file"
@@ -33,7 +33,7 @@ class _Parser(argparse.ArgumentParser):
     """A parser whose complaint is one line, without the usage."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: {plain(message)}\n")
+        self.exit(2, f"{self.prog}: {one_line(message)}\n")
 
 
 def _size(text: str) -> float:

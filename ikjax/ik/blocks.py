@@ -1,7 +1,7 @@
 """Eager calls: in blocks that fit the cache, every field of every slot.
 
 Storey: ik. There is one program, whatever the number of goals, so that the bits of an answer depend on its
-goal alone and a new number of goals compiles no kernel. Blocks run on as many threads as there are
+goal alone and a new number of goals compiles no kernel. Blocks run on as many threads as the process has
 cores, because one of them is too small for XLA to share out.
 
 The arm's zeros and ones are known while tracing (`Arm.split`), its other numbers are not.
@@ -9,7 +9,6 @@ The arm's zeros and ones are known while tracing (`Arm.split`), its other number
 
 import dataclasses
 import functools
-import os
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -21,6 +20,7 @@ import numpy as np
 from jax.experimental.layout import Layout, with_layout_constraint
 
 from ikjax.arm.arm import Arm
+from ikjax.core import cores
 from ikjax.core.xla import holder
 from ikjax.ik.graph import FIELDS, slots_of
 from ikjax.ik.solutions import Solutions
@@ -30,7 +30,7 @@ BLOCK, BLOCKS = 4096, 4
 
 PIECE = BLOCK * BLOCKS
 
-THREADS = os.cpu_count() or 1
+THREADS = cores.usable()
 """Pieces that run at once."""
 
 AHEAD = 4

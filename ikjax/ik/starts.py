@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ikjax.arm.arm import Arm
+from ikjax.arm.forward import whole_turns
 from ikjax.core.known import is_traced, stop_gradient
 from ikjax.core.trig import Scalar
 from ikjax.ik import blocks
@@ -17,7 +18,7 @@ from ikjax.ik.descent import bounds
 from ikjax.ik.graph import Entries, entries_of
 from ikjax.ik.refine import asked
 from ikjax.ik.turns import TURN
-from ikjax.solvers.family import proposed, proposed_at_ends
+from ikjax.solvers.family import proposed, proposed_at_ends, reach
 
 
 def at_limits(arm: Arm, goals: jax.Array) -> jax.Array:
@@ -64,6 +65,24 @@ def _further(x: Scalar, low: Scalar, high: Scalar) -> Scalar:
     return jnp.where(limited, jnp.where(away < 0, high, low), opposite)
 
 
+def ranges(arm: Arm) -> tuple[jax.Array, jax.Array]:
+    """Lower and upper end (n,) of the values from which joints are drawn, within the limits.
+
+    All that lies between two limits, but for what turns round: there a whole turn in the middle. From one
+    limit alone a whole turn on, or two reaches; without any as much about zero.
+    """
+    low, high = (jnp.asarray(arm.limits)[:, k] for k in (0, 1))
+    size = jnp.asarray(reach(arm), arm.dtype)
+    size = jnp.where(size > 0, size, 1)  # of slides alone, whose table has no lengths
+    half = jnp.stack([jnp.asarray(np.pi, arm.dtype) if kind == "R" else size for kind in arm.kinds])
+    below, above = jnp.isfinite(low), jnp.isfinite(high)
+    middle = jnp.where(below, low + half, jnp.where(above, high - half, 0))
+    middle = jnp.where(below & above, low / 2 + high / 2, middle)
+    whole = jnp.stack([jnp.asarray(turns) for turns in whole_turns(arm)])
+    half = jnp.where(below & above & ~whole, jnp.inf, half)
+    return jnp.maximum(low, middle - half), jnp.minimum(high, middle + half)
+
+
 def scattered(arm: Arm, batch: tuple[int, ...], count: int):
     """Joints spread evenly over the limits, the same for every goal, (..., S, n).
 
@@ -74,8 +93,6 @@ def scattered(arm: Arm, batch: tuple[int, ...], count: int):
     for _ in range(64):
         root = (1 + root) ** (1 / (arm.n + 1))
     shares = np.outer(np.arange(1, count + 1), root ** -np.arange(1.0, arm.n + 1)) % 1
-    low, high = arm.limits[:, 0], arm.limits[:, 1]
-    widest = jnp.asarray([np.pi if kind == "R" else 1 for kind in arm.kinds], arm.dtype)
-    low, high = jnp.maximum(low, -widest)[None], jnp.minimum(high, widest)[None]
+    low, high = (end[None] for end in ranges(arm))
     starts = low + (high - low) * jnp.asarray(shares, arm.dtype)
     return jnp.broadcast_to(starts, (*batch, *starts.shape))

@@ -16,6 +16,7 @@ from ikjax.core.known import as_array, stop_gradient
 from ikjax.ik import descent
 from ikjax.ik.graph import entries_of, jit_with_arm
 from ikjax.ik.refine import asked, checked, from_starts, goal_error, proposals
+from ikjax.ik.solve import check_family
 from ikjax.solvers.family import TOLERANCE, reach
 
 STEPS = 24
@@ -85,6 +86,7 @@ def track(
     Raises:
         ValueError: Wrong shapes or types, or an arm of no family.
     """
+    check_family(arm)
     goals, arm = checked(arm, goals, length, steps)
     if goals.ndim < 3:
         raise ValueError(f"goals must have shape (..., T, 4, 4), got {goals.shape}")

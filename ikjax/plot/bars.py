@@ -5,6 +5,7 @@ Storey: plot.
 
 import numpy as np
 
+from ikjax.core.text import line, picture
 from ikjax.plot.disc import head
 from ikjax.plot.style import ACCENT, MAP, STYLE, finish, pyplot
 from ikjax.study.surface import Surface
@@ -31,7 +32,7 @@ def histogram(reach, name: str = "dexterity", path=None, bins: int = 25):
     plt = pyplot()
     values = np.asarray(reach.dexterity if name == "dexterity" else reach.to_numpy().get(name, ()), float)
     if values.shape != tuple(reach.grid.shape):
-        some = ", ".join(["dexterity", *(k for k, told in reach.told.items() if not told["axes"])])
+        some = ", ".join(["dexterity", *(line(k) for k, told in reach.told.items() if not told["axes"])])
         raise ValueError(f"name must be one of {some}, got {name!r}")
     inside = (reach.reachable_within > 0) & np.isfinite(values)
     found = values[inside]
@@ -41,7 +42,7 @@ def histogram(reach, name: str = "dexterity", path=None, bins: int = 25):
     place = np.clip(np.searchsorted(edges, values, "right") - 1, 0, bins - 1)
     spread = isinstance(reach.grid, Surface)
     size = [np.sum(part) if spread else reach.grid.volume(part) for part in _parts(place, inside, bins)]
-    words = "share of orientations reachable" if name == "dexterity" else name.replace("_", " ")
+    words = "share of orientations reachable" if name == "dexterity" else picture(name.replace("_", " "))
     with plt.rc_context(STYLE):
         figure, ax = plt.subplots(figsize=(7.2, 3.9), layout="constrained")
         figure.get_layout_engine().set(rect=(0.01, 0.01, 0.98, 0.84))

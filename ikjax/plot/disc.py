@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ikjax.arm.arm import Arm
+from ikjax.core.text import picture
 from ikjax.plot.style import INK, MAP, PALE, STYLE, finish, flat, pyplot
 from ikjax.study.orientations import cone
 from ikjax.study.surface import surface
@@ -154,7 +155,7 @@ def label(figure, image, text: str, axes=None) -> None:
 def head(figure, name: str, said: str) -> None:
     """The arm's name, and below it what is shown."""
     left = {"x": 0.012, "ha": "left", "va": "top"}
-    figure.suptitle(name, y=0.985, fontsize=15, fontweight="bold", parse_math=False, **left)
+    figure.suptitle(picture(name), y=0.985, fontsize=15, fontweight="bold", **left)
     # Nine points are about thirteen letters an inch.
     said = "\n".join(textwrap.wrap(said, int(14 * figure.get_figwidth())))
     figure.text(y=0.985 - 0.36 / figure.get_figheight(), s=said, fontsize=9, color="#444444", **left)

@@ -5,13 +5,13 @@ readable; what comes out of a map is escaped, since a map may come from anyone.
 """
 
 import base64
-import html
 import io
 import json
 import shlex
 
 import numpy as np
 
+from ikjax.core.text import html
 from ikjax.plot.bars import histogram
 from ikjax.plot.contrast import comparison
 from ikjax.plot.disc import globe
@@ -55,8 +55,8 @@ def page(reach: ReachMap, then: ReachMap | None = None, name: str = "map.zarr") 
     """
     plt = pyplot()
     arm = reach.arm
-    parts = [_HEAD.format(title=html.escape(f"{arm.name}: {name}"))]
-    parts.append(f"<h1>{html.escape(arm.name)}</h1>\n{_text(reach.summary())}")
+    parts = [_HEAD.format(title=html(f"{arm.name}: {name}"))]
+    parts.append(f"<h1>{html(arm.name)}</h1>\n{_text(reach.summary())}")
 
     def show(title: str, words: str, figure) -> None:
         parts.append(f"<h2>{title}</h2>\n<p>{words}</p>\n{_picture(figure)}")
@@ -98,7 +98,7 @@ def repeat(reach: ReachMap, name: str) -> str:
     """Commands that make a map again, to be run where `name` is."""
     few = isinstance(reach.directions, Even | Cone)
     which = repr(reach.directions) if few else f"{reach.orientations:,} rotations"
-    words = {key: _statistic(key, told, reach) for key, told in reach.told.items()}
+    words = {key: _statistic(key, told) for key, told in reach.told.items()}
     names = ", ".join(words.values())
     own = [key for key, word in words.items() if word == key]
     given = "".join(f"{key} = ...  # the ikjax.Measure of that name, as it was\n" for key in own)
@@ -118,12 +118,12 @@ ikjax show {shell}
 ikjax show {shell} again.zarr"""
 
 
-def _statistic(key: str, told: dict, reach: ReachMap) -> str:
+def _statistic(key: str, told: dict) -> str:
     """A statistic in Python; of a measure of one's own its name, as a variable."""
     if "near" in told:
         position, rotation = told["near"]
         return f"ikjax.Near({position!r}, {rotation!r}, {key!r})"
-    return repr(key) if key in statistics.available(reach.arm) else key
+    return repr(key) if key in statistics.available() else key
 
 
 def _counted(reach: ReachMap) -> bool:
@@ -146,7 +146,7 @@ def _study(reach: ReachMap) -> dict:
 
 
 def _text(words: str) -> str:
-    return f"<pre>{html.escape(words)}</pre>"
+    return f"<pre>{html(words)}</pre>"
 
 
 def _picture(figure) -> str:

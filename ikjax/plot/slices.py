@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ikjax.core.text import picture
 from ikjax.plot.disc import shell_map
 from ikjax.plot.planes import Plane, Slice, kept, plane_of, posture, ticks_of, usual
 from ikjax.plot.points import point_map
@@ -123,7 +124,7 @@ def _head(figure, reach) -> None:
         f"× {reach.orientations:,} orientations."
     )
     left = {"x": 0.012, "ha": "left", "va": "top"}
-    figure.suptitle(reach.arm.name, y=0.985, fontsize=16, fontweight="bold", parse_math=False, **left)
+    figure.suptitle(picture(reach.arm.name), y=0.985, fontsize=16, fontweight="bold", **left)
     figure.text(y=0.925, s=said, fontsize=10, color="#444444", **left)
     if (np.asarray(reach.reachable) > reach.reachable_within).any():
         from matplotlib.patches import Patch

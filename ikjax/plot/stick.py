@@ -9,6 +9,7 @@ import numpy as np
 
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import fk, frames
+from ikjax.core.text import picture
 from ikjax.ik.select import within_limits
 from ikjax.ik.solve import solve
 from ikjax.plot.style import ACCENT, COLOURS, INK, STYLE, TRIAD, finish, pyplot
@@ -135,12 +136,15 @@ def branches(arm: Arm, goal, path=None):
             ax.view_init(elev=22, azim=np.degrees(np.arctan2(goal[1, 3], goal[0, 3])) - 62)
             valid = bool(sol.valid[slot])
             state = "within limits" if inside[slot] else "outside limits" if valid else "does not reach"
-            ax.set_title(f"{slot}  {arm.branches[slot]}\n{state}", color=INK if valid else "#999999", y=0.96)
+            name = picture(arm.branches[slot])
+            ax.set_title(f"{slot}  {name}\n{state}", color=INK if valid else "#999999", y=0.96)
             draw_3d(ax, body, COLOURS[slot % len(COLOURS)] if valid else "#b8b8b8", 2.6)
             _triad(ax, goal, 0.13 * float(np.ptp(points, axis=0).max()))
         found, share = int(np.sum(sol.valid)), int(np.sum(inside))
-        title = f"{arm.name}: {found} of {len(bodies)} branches reach the goal, {share} within limits"
-        figure.suptitle(title, fontsize=12, fontweight="bold", parse_math=False)
+        title = (
+            f"{picture(arm.name)}: {found} of {len(bodies)} branches reach the goal, {share} within limits"
+        )
+        figure.suptitle(title, fontsize=12, fontweight="bold")
     return finish(figure, path)
 
 

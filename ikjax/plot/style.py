@@ -15,6 +15,8 @@ TRIAD = ("#d1495b", "#2a9d5c", "#2f6fde")
 # Okabe and Ito's colours, told apart by colour-blind readers; their yellow is too pale for lines.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7a4fb5", "#6b6b00")
 STYLE = {"font.size": 9, "axes.titlesize": 9, "axes.edgecolor": "#888888", "axes.linewidth": 0.6}
+# Names are escaped for matplotlib's own text; TeX would run them as a program.
+STYLE |= {"text.usetex": False}
 STYLE |= {"xtick.color": "#555555", "ytick.color": "#555555", "xtick.labelsize": 8, "ytick.labelsize": 8}
 STYLE |= {"grid.color": "#dddddd", "grid.linewidth": 0.6}
 STYLE |= {f"axes3d.{k}axis.panecolor": (0.97, 0.97, 0.97, 0.6) for k in "xyz"}

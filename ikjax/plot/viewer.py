@@ -15,6 +15,7 @@ import numpy as np
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import fk, frames
 from ikjax.core.pose import pose, to_quaternion
+from ikjax.core.text import markdown
 from ikjax.ik.select import within_limits
 from ikjax.ik.solve import solve
 from ikjax.plot.planes import Plane, kept, plane_of, posture, ticks_of
@@ -111,7 +112,7 @@ class Viewer:
         camera.position, camera.look_at = base + self.size * np.array([0.55, -1.05, 0.45]), base
         scene.add_frame("/base", axes_length=0.08 * self.size, axes_radius=0.004 * self.size, position=base)
         gui.add_markdown(
-            f"**{self.arm.name}**: {reach.grid.in_words()} x {reach.orientations:,} orientations. "
+            f"**{markdown(self.arm.name)}**: {reach.grid.in_words()} x {reach.orientations:,} orientations. "
             "A click on the slice puts the goal there; its handles move and turn it."
         )
         self.axis = gui.add_dropdown("Slice square to", ("x", "y", "z"), initial_value="y")
@@ -183,7 +184,7 @@ class Viewer:
                 lines = skeleton.lines.astype(np.float32)
                 self.server.scene.add_line_segments(name, lines, colour, thickness=thick)
             names = "\n".join(
-                f"- {self.arm.branches[k]}{'' if each.within else ' (outside the limits)'}"
+                f"- {markdown(self.arm.branches[k])}{'' if each.within else ' (outside the limits)'}"
                 for k, each in found.items()
             )
             total = len(self.arm.branches)

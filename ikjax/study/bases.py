@@ -4,19 +4,22 @@ Storey: study. Candidates on a grid are counted, the best of them are polished b
 returned is ranked by exact counts.
 """
 
+import dataclasses
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
 from ikjax.arm.arm import Arm
 from ikjax.ik.check import check_goals
-from ikjax.ik.solve import as_goals, check_family
+from ikjax.ik.margins import limited_margins
+from ikjax.ik.solve import as_goals, check_family, solve
 from ikjax.solvers.family import reach as reach_of
 from ikjax.study import candidates
 from ikjax.study.climb import Known
 from ikjax.study.nudge import Hill, nudged
-from ikjax.study.parameters import TWIST, Parameters
+from ikjax.study.parameters import TWIST
 from ikjax.study.placed import Bases
 from ikjax.study.reach import ReachMap
 from ikjax.study.room import Room, room
@@ -59,6 +62,7 @@ def place(
         move: Which of "x", "y", "z", "turn" (about the world's z) and "tilt" (about its x and y) may change.
             Candidates are not tilted, polishing does that.
         bounds: Of some of these: x, y and z in the world [m], turn and tilt from how the arm was given [rad].
+            It is turned first and then tilted, by a rotation vector whose x and y are bounded each.
             By default x, y and z go as far as any goal can be reached from, turns go round and tilts are
             up to a quarter turn.
         spacing: Of candidates [m]; by default a sixteenth of the reach, or what makes 65,536 positions.
@@ -99,43 +103,69 @@ def place(
     order = np.lexsort((-spare.reshape(-1), -tried.reshape(-1)))
     first = where.places()[order]
     first = first[where.distinct(first, starts)]
-    found, reached, worst, first_count, first_worst = _polished(arm, flat, where, first, size, limits, steps)
-    ranked = np.lexsort((-worst, -reached.sum(1)))
+    found, count, worst = _polished(arm, flat, where, first, size, limits, steps)
+    ranked = np.lexsort((-worst, -count))
     ranked = ranked[where.distinct(found[ranked], keep)]
+    # What is returned is judged as it is returned: a place is rounded to a matrix, and polishing moved the
+    # goals in the place of the base.
+    ends, begins = (
+        [_stand(arm, base, flat, limits) for base in where.bases(places[ranked]).astype(given.dtype)]
+        for places in (found, first)
+    )
+    pairs = [(max(pair, key=_Stand.rank), pair[1]) for pair in zip(ends, begins, strict=True)]
+    best, begun = zip(*sorted(pairs, key=lambda pair: pair[0].rank(), reverse=True), strict=True)
 
-    def score(count: np.ndarray, margin: np.ndarray) -> np.ndarray:
-        return (count + LESS * np.clip(margin / size, -1, 1))[ranked] / len(flat)
+    def score(stands: Sequence[_Stand]) -> np.ndarray:
+        margins = np.array([stand.worst for stand in stands])
+        counts = np.array([stand.reached.sum() for stand in stands])
+        return (counts + LESS * np.clip(margins / size, -1, 1)) / len(flat)
 
     return Bases(
         arm=arm,
         goals=np.asarray(given),
-        base=where.bases(found[ranked]).astype(given.dtype),
-        score=score(reached.sum(1), worst),
-        share=reached[ranked].mean(1),
-        reached=reached[ranked].reshape(-1, *given.shape[:-2]),
-        worst_margin=worst[ranked],
-        start=where.bases(first[ranked]).astype(given.dtype),
-        start_score=score(first_count, first_worst),
-        start_share=first_count[ranked] / len(flat),
+        base=np.stack([stand.base for stand in best]),
+        score=score(best),
+        share=np.array([stand.reached.mean() for stand in best]),
+        reached=np.stack([stand.reached.reshape(given.shape[:-2]) for stand in best]),
+        worst_margin=np.array([stand.worst for stand in best]),
+        start=np.stack([stand.base for stand in begun]),
+        start_score=score(begun),
+        start_share=np.array([stand.reached.mean() for stand in begun]),
         grid=where.grid,
         turns=where.turns,
         tried=tried.reshape(*where.grid.shape, -1),
     )
 
 
+class _Stand(NamedTuple):
+    """A base, and what `solve` says of the arm there."""
+
+    base: np.ndarray
+    """(4, 4)"""
+    reached: np.ndarray
+    """(g,) bool"""
+    worst: float
+    """[m]"""
+
+    def rank(self) -> tuple[int, float]:
+        return int(self.reached.sum()), self.worst
+
+
+def _stand(arm: Arm, base: np.ndarray, goals: np.ndarray, limits: bool) -> _Stand:
+    there = dataclasses.replace(arm, base=base)
+    sol = solve(there, goals)
+    sol = limited_margins(there, sol) if limits else sol
+    return _Stand(base, np.asarray(sol.valid.any(-1)), float(sol.margin.max(-1).min()))
+
+
 def _polished(
     arm: Arm, goals: np.ndarray, where: Room, first: np.ndarray, size: float, limits: bool, steps: int
-) -> tuple[np.ndarray, ...]:
-    """The best places that `first` come by, which goals they reach, their worst margins; counts and margins
-    of `first`."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The best places that `first` come by, how many goals they reach, their worst margins."""
     columns = [TWIST.index(name) for name in where.climbs]
     home = np.concatenate([where.home[:3, 3], np.zeros(3)])
     lower, upper = where.bounds()
-    # Bounds are handed over as numbers: in here, every change of them would compile anew.
-    every = len(columns)
-    names = tuple(f"base.{name}" for name in where.climbs)
-    parameters = Parameters(names, (0.0,) * every, (1.0,) * every)
-    hill = Hill(Known(arm), parameters, limits, max(1, TOGETHER // len(goals)))
+    hill = Hill(Known(arm), where.climbs, limits, max(1, TOGETHER // len(goals)))
     phase = np.linspace(0, np.pi, steps + 1)
     numbers = [
         (first - home)[:, columns],
@@ -146,8 +176,7 @@ def _polished(
         size * np.geomspace(*BLUR, steps + 1),
         RATE * (1 + np.cos(phase)) / 2,
     ]
-    best, count, worst = nudged(hill, *(jnp.asarray(x, goals.dtype) for x in numbers))
+    best = nudged(hill, *(jnp.asarray(x, goals.dtype) for x in numbers))
     found = first.copy()
     found[:, columns] = np.asarray(best.values, float) + home[columns]
-    found[:, 3:] = (found[:, 3:] + np.pi) % (2 * np.pi) - np.pi
-    return found, np.asarray(best.reached), np.asarray(best.worst), np.asarray(count), np.asarray(worst)
+    return found, np.asarray(best.count), np.asarray(best.worst)

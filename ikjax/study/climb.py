@@ -62,11 +62,11 @@ class Plan:
         sol = limited_margins(arm, sol) if self.limits else sol
         return jnp.mean(self.objective(arm, sol, blur))
 
-    def over(self, arm: Arm) -> jax.Array:
+    def over(self, z: jax.Array) -> jax.Array:
         """How far each constraint is above zero, (c,)."""
-        if not self.constraints:
-            return jnp.zeros(0, arm.a.dtype)
-        return jnp.concatenate([jnp.ravel(jnp.asarray(g(arm))) for g in self.constraints])
+        arm = self.made(z)
+        own = [jnp.ravel(jnp.asarray(g(arm), z.dtype)) for g in self.constraints]
+        return jnp.concatenate([*own, self.parameters.over(self.parameters.values(z))])
 
 
 @jax.tree_util.register_dataclass
@@ -82,7 +82,7 @@ class State:
 
 @functools.partial(jax.jit, static_argnums=0)
 def started(plan: Plan, z: jax.Array) -> State:
-    multipliers = jax.vmap(lambda z: jnp.zeros_like(plan.over(plan.made(z))))(z)
+    multipliers = jax.vmap(lambda z: jnp.zeros_like(plan.over(z)))(z)
     return State(z, jax.vmap(plan.optimiser.init)(z), multipliers)
 
 
@@ -91,7 +91,7 @@ def chunk(plan: Plan, state: State, goals, keys, blurs, pull):
     """A few steps of every start: the state, and scores (steps, starts)."""
 
     def loss(z, multipliers, goals, blur):
-        score, over = plan.score(z, goals, blur), plan.over(plan.made(z))
+        score, over = plan.score(z, goals, blur), plan.over(z)
         push = jnp.maximum(multipliers + pull * over, 0)
         cost = ((push**2 - multipliers**2) / (2 * pull)).sum()
         return cost - score, score
@@ -117,7 +117,7 @@ def chunk(plan: Plan, state: State, goals, keys, blurs, pull):
         return State(moved, memory, state.multipliers), scores
 
     state, scores = jax.lax.scan(step, state, (keys, blurs))
-    over = jax.vmap(lambda z: plan.over(plan.made(z)))(state.z)
+    over = jax.vmap(plan.over)(state.z)
     multipliers = jnp.maximum(state.multipliers + pull * over, 0)
     return dataclasses.replace(state, multipliers=multipliers), scores
 
@@ -127,7 +127,7 @@ def judged(plan: Plan, z: jax.Array, goals: jax.Array):
     """Numbers (m, k), exact scores (m,) and greatest violations (m,), inf for NaN, of every z."""
 
     def judge(z):
-        over = plan.over(plan.made(z))
+        over = plan.over(z)
         return plan.score(z, goals, 0), jnp.max(jnp.where(jnp.isnan(over), jnp.inf, over), initial=-jnp.inf)
 
     exact, over = jax.lax.map(judge, z, batch_size=plan.together)

@@ -49,8 +49,8 @@ def design(
     vary: Mapping[str, Any],
     objective: str | Objective = "coverage",
     *,
-    ties: Sequence[str] = (),
-    constraints: Sequence[Constraint] = (),
+    ties: str | Sequence[str] = (),
+    constraints: str | Sequence[Constraint | str] = (),
     starts: int = 8,
     steps: int = 200,
     optimiser: optax.GradientTransformation | None = None,
@@ -73,7 +73,8 @@ def design(
             (arm, sol, blur) -> score, to be made as great as can be; see `study.objectives`. Functions
             must be the same object from call to call for a compiled program to be used again.
         ties: Linear equations that hold throughout: "a2 + d4 = 0.8".
-        constraints: Functions of the arm whose numbers must not be above zero in the end.
+        constraints: What must hold in the end: linear inequalities between what varies, "a2 + d4 <= 0.8", or
+            functions of the arm that return numbers, met where these are not above zero.
         starts: How many arms climb: the given one, and others anywhere between the bounds.
         steps: Of each.
         optimiser: Any of optax; adam by default, its rate 0.1 falling to zero along a cosine. What it moves
@@ -92,7 +93,7 @@ def design(
 
     Raises:
         ValueError: As `study.vary.chosen` says; an arm of no family, goals of a wrong shape or none that
-            is a pose, an unknown objective.
+            is a pose, an unknown objective, a constraint that returns no number (a comparison, say).
     """
     check_family(arm)
     goals = as_goals(goals)
@@ -101,19 +102,20 @@ def design(
     if not kept.any():
         raise ValueError("goals must hold a pose, none of them is one")
     goals = goals if kept.all() else goals[np.flatnonzero(kept)]
-    _check(constraints, starts, steps, blur, batch, finish)
+    _check(starts, steps, blur, batch, finish)
+    rules, functions = _constraints(arm, constraints)
     if isinstance(objective, str):
         if objective not in NAMED:
             raise ValueError(f"objective must be a function or one of {', '.join(NAMED)}, got {objective!r}")
         objective = NAMED[objective]
-    parameters = chosen(arm, vary, ties)
+    parameters = chosen(arm, vary, [ties] if isinstance(ties, str) else ties, rules)
     batch = batch if batch is not None and batch < len(goals) else None
     size = float(reach(arm.baked()))
     plan = climb.Plan(
         climb.Known(arm),
         parameters,
         objective,
-        tuple(constraints),
+        functions,
         _usual(steps) if optimiser is None else optimiser,
         limits,
         batch,
@@ -196,7 +198,7 @@ def _searched(judge, z: np.ndarray, best: tuple, count: int, seed: int, together
     return best
 
 
-def _check(constraints, starts: int, steps: int, blur, batch: int | None, finish: int) -> None:
+def _check(starts: int, steps: int, blur, batch: int | None, finish: int) -> None:
     if starts < 1 or min(steps, finish) < 0:
         raise ValueError(
             f"starts must be at least 1, steps and finish not negative, got {starts}, {steps} and {finish}"
@@ -205,8 +207,26 @@ def _check(constraints, starts: int, steps: int, blur, batch: int | None, finish
         raise ValueError(f"batch must be at least 1, or None for all goals, got {batch}")
     if min(blur) <= 0:
         raise ValueError(f"blur must be two positive numbers, got {blur}")
-    if callable(constraints):
-        raise ValueError("constraints must be a sequence of functions, got a function")
+
+
+def _constraints(arm: Arm, given) -> tuple[list[str], tuple[Constraint, ...]]:
+    """Inequalities as text, and functions that return numbers."""
+    if callable(given):
+        raise ValueError("constraints must be a sequence of functions or inequalities, got a function")
+    every = [given] if isinstance(given, str) else list(given)
+    functions = tuple(each for each in every if not isinstance(each, str))
+    for each in functions:
+        if not callable(each):
+            raise ValueError(
+                f"a constraint must be a function or an inequality such as 'a2 <= 1', got {each!r}"
+            )
+        kind = jax.eval_shape(lambda arm, each=each: jnp.asarray(each(arm)), arm).dtype
+        if not jnp.issubdtype(kind, jnp.floating) and not jnp.issubdtype(kind, jnp.integer):
+            raise ValueError(
+                "a constraint must return numbers that are at most zero where it is met, not whether it is: "
+                f"arm.a[1] - 0.5, not arm.a[1] <= 0.5; {getattr(each, '__name__', each)} returns {kind}"
+            )
+    return [each for each in every if isinstance(each, str)], functions
 
 
 def _poses(arm: Arm, goals: jax.Array) -> np.ndarray:

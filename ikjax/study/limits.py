@@ -54,7 +54,7 @@ def distance(arm: Arm, slot: Slot) -> jax.Array:
     """How far the joint that is nearest to a limit is from it, as a share of half its range.
 
     1 is the middle, 0 at the limit, negative beyond it; a turning joint is taken at the turn nearest
-    to the middle, and one without limits is left out. Without any limit it is 1.
+    to the middle, and left out with one limit or none: whole turns always meet it. Without any limit it is 1.
 
     Args:
         arm: A baked arm.
@@ -64,7 +64,7 @@ def distance(arm: Arm, slot: Slot) -> jax.Array:
     for whole, value, (lower, upper) in zip(whole_turns(arm), slot.q, arm.limits.tolist(), strict=True):
         if not (math.isfinite(lower) and math.isfinite(upper)):
             near = value - lower if math.isfinite(lower) else upper - value if math.isfinite(upper) else None
-            if near is not None:  # one limit alone: a range of two radians or metres
+            if near is not None and not whole:  # one limit alone: a range of two radians or metres
                 least = jnp.minimum(least, near)
             continue
         away = value - (lower + upper) / 2

@@ -12,6 +12,7 @@ import time
 
 import jax
 
+from ikjax.core.text import one_line
 from ikjax.study import spec
 from ikjax.study.layout import Head
 
@@ -37,8 +38,8 @@ class Log:
         if self.path is None:
             return
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-        with contextlib.suppress(OSError), self.path.open("a") as file:
-            file.write(f"{now} [{os.getpid()}] {' '.join(text.split())}\n")
+        with contextlib.suppress(OSError), self.path.open("a", encoding="utf-8") as file:
+            file.write(f"{now} [{os.getpid()}] {one_line(text)}\n")
 
     def begun(self, head: Head, units) -> None:
         """What is swept, with what, and what of it is there already."""

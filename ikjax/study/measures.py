@@ -5,9 +5,7 @@ Storey: study. They run in a loop whose values are held, many times slower than 
 
 import dataclasses
 import functools
-import hashlib
 import math
-import re
 from collections.abc import Callable
 from typing import Any
 
@@ -22,6 +20,8 @@ from ikjax.solvers.branch import Slide
 from ikjax.study import dexterity
 from ikjax.study.goal import Goal, Lane
 from ikjax.study.limits import distance
+from ikjax.study.program import traced
+from ikjax.study.spec import check_name
 
 LARGEST = 8.0
 """Manipulabilities beyond are averaged as this."""
@@ -36,8 +36,8 @@ class Measure:
 
     The function is handed `Solutions` as from `solve`, its fields (..., S) and `q` (..., S, n), and returns
     (...) numbers. It must be elementwise: a goal's number may depend on that goal's solutions alone, and
-    be made by jax. `within_limits` and `nearest` are elementwise too. Its name and its program, as jax
-    traces it, are part of a map's spec.
+    be made by jax alone. `within_limits` and `nearest` are elementwise too. Its name and its program, as jax
+    traces it when the sweep begins, with every number that it holds, are part of a map's spec.
     """
 
     name: str
@@ -48,8 +48,7 @@ class Measure:
     """Of a sum: each number is rounded to whole units, so that sums come out the same in any order."""
 
     def __post_init__(self):
-        if not re.fullmatch(r"[a-z][a-z0-9_]*", self.name):
-            raise ValueError(f"name must be of small letters, digits and _, got {self.name!r}")
+        check_name(self.name)
         if self.reduce not in ("sum", "max", "min"):
             raise ValueError(f'reduce must be "sum", "max" or "min", got {self.reduce!r}')
         if not 0 < self.unit < math.inf:
@@ -59,18 +58,12 @@ class Measure:
         """What tells it from another of its name.
 
         Raises:
-            ValueError: The function does not return a number for each goal.
+            ValueError: The function does not return a number for each goal, or its program cannot be told.
         """
-        traced = jax.make_jaxpr(self.function)(_blank(arm, (2, 3)))
-        shapes = [aval.shape for aval in traced.out_avals]
+        code, shapes = traced(self.name, self.function, _blank(arm, (2, 3)))
         if shapes != [(2, 3)]:
             raise ValueError(f"{self.name} must return one number a goal, (2, 3) for (2, 3), got {shapes}")
-        # Where functions lie in memory is no part of the program.
-        text = re.sub(r"0x[0-9a-f]+", "", str(traced.jaxpr))
-        code = hashlib.sha256(text.encode())
-        for constant in traced.consts:
-            code.update(np.asarray(constant).tobytes())
-        return {"reduce": self.reduce, "unit": self.unit, "code": code.hexdigest()[:16]}
+        return {"reduce": self.reduce, "unit": float(self.unit), "code": code}
 
     def lanes(self, arm: Arm, rolls: int) -> dict[str, Lane]:
         """What the loop does for it."""

@@ -6,7 +6,6 @@ Storey: study. Every goal is projected in closed form, as `project` does without
 import dataclasses
 import functools
 import math
-import re
 from typing import Any
 
 import jax
@@ -14,6 +13,7 @@ import jax.numpy as jnp
 
 from ikjax.ik.refine import closed
 from ikjax.study.goal import Goal, Lane
+from ikjax.study.spec import check_name
 
 CLOSED = "closed"
 """What `Goal.kept` has of the closed form, for all that look at it."""
@@ -38,8 +38,7 @@ class Near:
     """What the map calls it."""
 
     def __post_init__(self):
-        if not re.fullmatch(r"[a-z][a-z0-9_]*", self.name):
-            raise ValueError(f"name must be of small letters, digits and _, got {self.name!r}")
+        check_name(self.name)
         for field in ("position", "rotation"):
             if not 0 <= getattr(self, field) < math.inf:
                 raise ValueError(f"{field} must be a tolerance, zero or more, got {getattr(self, field)}")

@@ -16,7 +16,7 @@ from ikjax.ik.margins import limited_margins, smooth_max, smooth_min
 from ikjax.ik.solve import solve
 from ikjax.solvers.family import reach
 from ikjax.study.climb import Known
-from ikjax.study.parameters import Parameters
+from ikjax.study.parameters import TWIST, inverse, moved, product
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,22 +24,33 @@ class Hill:
     """What is fixed while places are nudged; hashable."""
 
     known: Known
-    parameters: Parameters
-    """Shifts and turns of the base, from where it is given."""
+    climbs: tuple[str, ...]
+    """Which numbers of a place move; see `study.room`."""
     limits: bool
     together: int
     """Places that are worked on at a time."""
 
+    def base(self, base: jax.Array, values: jax.Array) -> jax.Array:
+        """Where the base stands, as `Room.bases` has it: turned about z first, then tilted and shifted."""
+        numbers = dict(zip(self.climbs, values, strict=True))
+        x, y, z, rx, ry, rz = (numbers.get(name, jnp.zeros_like(values[0])) for name in TWIST)
+        still = jnp.zeros_like(values[0])
+        turned = moved(base, (still, still, still, still, still, rz))
+        return moved(turned, (x, y, z, rx, ry, still))
+
     def height(self, values: jax.Array, goals: jax.Array, blur: jax.Array):
-        """The smooth score, and what is exact: goals reached (g,), the worst margin [m]."""
-        arm, seen = self.parameters.apart(self.known.arm, goals, values)
-        sol = solve(arm, seen)
+        """The smooth score, and what is exact: how many goals are reached, the worst margin [m]."""
+        arm = self.known.arm
+        # The base stands still and the goals move instead: the kernel then knows more of its arm.
+        base = jnp.asarray(arm.base, values.dtype)
+        sol = solve(arm, product(product(base, inverse(self.base(base, values))), goals))
         sol = limited_margins(arm, sol) if self.limits else sol
         best = smooth_max(sol.margin, blur)
         # Where all goals are reached the share is flat, and the worst of them leads on.
-        worst = smooth_min(best, blur) / float(reach(self.known.arm))
+        worst = smooth_min(best, blur) / float(reach(arm))
         score = jnp.sum(jax.nn.sigmoid(best / blur)) + worst / 2
-        return score, (sol.valid.any(-1), jnp.min(jnp.max(sol.margin, axis=-1)))
+        count = jnp.sum(sol.valid.any(-1), dtype=jnp.int32)
+        return score, (count, jnp.min(jnp.max(sol.margin, axis=-1)))
 
 
 @jax.tree_util.register_dataclass
@@ -47,8 +58,8 @@ class Hill:
 class Best:
     values: jax.Array
     """(m, k)"""
-    reached: jax.Array
-    """(m, g) bool"""
+    count: jax.Array
+    """(m,) of goals reached."""
     worst: jax.Array
     """(m,) [m]"""
 
@@ -59,7 +70,7 @@ _ADAM = optax.scale_by_adam(b1=0.8, b2=0.9)
 
 @functools.partial(jax.jit, static_argnums=0)
 def nudged(hill: Hill, values, goals, units, lower, upper, blurs, rates):
-    """The best place that each start comes by, and what it was at first.
+    """The best place that each start comes by, itself among them.
 
     Args:
         hill: What is climbed.
@@ -68,9 +79,6 @@ def nudged(hill: Hill, values, goals, units, lower, upper, blurs, rates):
         units: (k,) what a step of one is of each number.
         lower, upper: (k,) bounds.
         blurs, rates: (steps + 1,) of each step; the last is only looked at.
-
-    Returns:
-        `Best`; and of the starts: goals reached (m,), worst margin (m,).
     """
 
     def slope(values, blur):
@@ -83,22 +91,20 @@ def nudged(hill: Hill, values, goals, units, lower, upper, blurs, rates):
     def step(state, each):
         values, memory, best = state
         blur, rate = each
-        slopes, reached, worst = jax.lax.map(lambda v: slope(v, blur), values, batch_size=hill.together)
-        count, most = reached.sum(-1), best.reached.sum(-1)
-        better = (count > most) | ((count == most) & (worst > best.worst))
+        slopes, count, worst = jax.lax.map(lambda v: slope(v, blur), values, batch_size=hill.together)
+        better = (count > best.count) | ((count == best.count) & (worst > best.worst))
         best = jax.tree.map(
             lambda new, old: jnp.where(better.reshape(-1, *[1] * (new.ndim - 1)), new, old),
-            Best(values, reached, worst),
+            Best(values, count, worst),
             best,
         )
         # Optimisers promote as they please, whatever the caller is strict about.
         with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
             updates, memory = jax.vmap(_ADAM.update)(slopes, memory, values)
             moved = jnp.clip(values + rate * units * updates, lower, upper)
-        return (moved, memory, best), (count, worst)
+        return (moved, memory, best), None
 
     nowhere = jnp.full(len(values), -jnp.inf, values.dtype)
-    best = Best(values, jnp.zeros((len(values), len(goals)), bool), nowhere)
+    best = Best(values, jnp.zeros(len(values), jnp.int32), nowhere)
     start: Any = (values, jax.vmap(_ADAM.init)(values), best)
-    (_, _, best), (counts, margins) = jax.lax.scan(step, start, (blurs, rates))
-    return best, counts[0], margins[0]
+    return jax.lax.scan(step, start, (blurs, rates))[0][2]

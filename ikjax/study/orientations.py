@@ -15,6 +15,7 @@ from ikjax.core import vector
 from ikjax.core.vector import Matrix
 from ikjax.study.hopf import Hopf
 from ikjax.study.phase import about_z, angle, tilt
+from ikjax.study.spec import frozen
 
 MOST = 2**31 - 2**16
 """Orientations, each with its rolls, that 32-bit integers can count over."""
@@ -109,7 +110,10 @@ class Listed:
     """Rotations of a list."""
 
     rotations: np.ndarray
-    """(m, 3, 3)"""
+    """(m, 3, 3), read-only."""
+
+    def __post_init__(self):
+        object.__setattr__(self, "rotations", frozen(self.rotations))
 
     @property
     def count(self) -> int:
@@ -182,7 +186,8 @@ def as_orientations(given) -> Orientations:
     Raises:
         ValueError: None of these, or more than 32 bits can count.
     """
-    if isinstance(given, Even | Cone | Hopf | Listed):
+    # Not of a class derived from these: a spec says which formula it was by the name of the class.
+    if type(given) in (Even, Cone, Hopf, Listed):
         found: Orientations = given
     elif np.ndim(given) == 0:
         _check_count("n", given)

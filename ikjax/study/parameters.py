@@ -39,12 +39,19 @@ class Parameters:
     upper: tuple[float, ...]
     ties: tuple[tuple[float, ...], ...] = ()
     """A row for each tie: its factors, one for each name, and then what they sum up to."""
+    rules: tuple[tuple[float, ...], ...] = ()
+    """A row for each linear constraint: its factors, and then what they sum up to at most."""
 
     def values(self, z: jax.Array) -> jax.Array:
         """The numbers (k,) of coordinates z (k,): within bounds, and tied."""
         lower = jnp.asarray(self.lower, z.dtype)
         width = jnp.asarray(self.upper, z.dtype) - lower
         return lower + width * jax.nn.sigmoid(self._tied(z))
+
+    def over(self, values: jax.Array) -> jax.Array:
+        """How far each linear constraint is above zero at numbers (k,): (c,)."""
+        table = jnp.asarray(np.reshape(self.rules, (-1, len(self.names) + 1)), values.dtype)
+        return (table[:, :-1] * values[None]).sum(-1) - table[:, -1]
 
     def coordinates(self, values) -> np.ndarray:
         """z of numbers (k,); those at a bound or beyond are taken a thousandth of the way inside."""
@@ -77,11 +84,11 @@ class Parameters:
         """
         leaves = self._table(arm, values)
         if self._moves("base"):
-            back = _product(_given(arm, "base", values), _inverse(self._mount(arm, "base", values)))
-            goals = _product(back, goals)
+            back = product(_given(arm, "base", values), inverse(self._mount(arm, "base", values)))
+            goals = product(back, goals)
         if self._moves("tool") and arm.task == "pose":
-            on = _product(_inverse(self._mount(arm, "tool", values)), _given(arm, "tool", values))
-            goals = _product(goals, on)
+            on = product(inverse(self._mount(arm, "tool", values)), _given(arm, "tool", values))
+            goals = product(goals, on)
         elif self._moves("tool"):
             # Where a goal's orientation is free, the tool cannot be made part of it.
             leaves["tool"] = self._mount(arm, "tool", values)
@@ -105,7 +112,7 @@ class Parameters:
         names = [f"{mount}.{part}" for part in TWIST]
         still = jnp.zeros_like(values[0])
         twist = [values[self.names.index(name)] if name in self.names else still for name in names]
-        return _moved(_given(arm, mount, values), twist)
+        return moved(_given(arm, mount, values), twist)
 
     def _tied(self, z: jax.Array) -> jax.Array:
         if not self.ties:
@@ -139,7 +146,7 @@ class Parameters:
         return shifted(z, nearer(along, z))
 
 
-def _moved(mount: jax.Array, twist: Sequence[jax.Array]) -> jax.Array:
+def moved(mount: jax.Array, twist: Sequence[jax.Array]) -> jax.Array:
     """A pose shifted, and turned about its own origin, in the axes that it is given in."""
     x, y, z = twist[3:]
     angle = safe.norm(x, y, z)
@@ -157,10 +164,10 @@ def _given(arm: Arm, mount: str, like: jax.Array) -> jax.Array:
     return jnp.asarray(getattr(arm, mount), like.dtype)
 
 
-def _product(first: jax.Array, second: jax.Array) -> jax.Array:
+def product(first: jax.Array, second: jax.Array) -> jax.Array:
     """Of poses (..., 4, 4), written out: a matrix product may be rounded coarsely on some devices."""
     return poses.to_matrix(poses.compose(poses.from_matrix(first), poses.from_matrix(second)))
 
 
-def _inverse(pose: jax.Array) -> jax.Array:
+def inverse(pose: jax.Array) -> jax.Array:
     return poses.to_matrix(poses.inverse(poses.from_matrix(pose)))

@@ -131,7 +131,7 @@ def _understood(said: dict, folder: pathlib.Path) -> Recipe:
     ends = {key: said.get(key) for key in ("base", "tip", "tolerance")}
     arm = _limited(find_arm(said["arm"], folder, **ends), said.get("limits"))
     positions = _positions(said, arm, folder)
-    statistics, known = said.get("statistics", list(STATISTICS)), available(arm)
+    statistics, known = said.get("statistics", list(STATISTICS)), available()
     if not isinstance(statistics, list) or not all(name in known for name in statistics) or not statistics:
         raise ValueError(f"statistics must be a list of {', '.join(known)}, got {statistics!r}")
     rolls = said.get("rolls", 1)

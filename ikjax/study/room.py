@@ -1,7 +1,8 @@
 """Where a base may stand: what moves, between which bounds, and the candidates on a grid.
 
-Storey: study. A place is six numbers: x, y, z of the base in the world [m], and the rotation vector
-rx, ry, rz [rad], in the world's axes, that turns it from how the arm was given.
+Storey: study. A place is six numbers: x, y, z of the base in the world [m]; and from how the arm was given a
+turn rz about the world's z axis [rad], after which the rotation vector (rx, ry, 0) [rad] tilts it. So a whole
+turn more is the same place, whatever the tilt.
 """
 
 import dataclasses
@@ -57,7 +58,9 @@ class Room:
     def bases(self, places: np.ndarray) -> np.ndarray:
         """T_world_base of places (m, 6)."""
         made = np.broadcast_to(np.eye(4), (len(places), 4, 4)).copy()
-        made[:, :3, :3] = Rotation.from_rotvec(places[:, 3:]).as_matrix() @ self.home[:3, :3]
+        tilt, turn = places[:, 3:] * [1, 1, 0], places[:, 3:] * [0, 0, 1]
+        turned = Rotation.from_rotvec(tilt) * Rotation.from_rotvec(turn)
+        made[:, :3, :3] = turned.as_matrix() @ self.home[:3, :3]
         made[:, :3, 3] = places[:, :3]
         return made
 

@@ -7,13 +7,16 @@ import dataclasses
 import hashlib
 import json
 import math
+import re
 import sys
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
+from ikjax.arm import structure
 from ikjax.arm.arm import Arm
+from ikjax.core.text import line
 
 SCHEMA = 3
 """Version of a map's layout; a reader refuses any other."""
@@ -32,7 +35,13 @@ def of_study(
     statistics: Mapping[str, dict[str, Any]],
     fixed: Fixed,
 ) -> dict:
-    """Everything that a map's numbers depend on. The size of its chunks is not among it."""
+    """Everything that a map's numbers depend on. The size of its chunks is not among it.
+
+    Raises:
+        ValueError: A statistic of the name of one of the arrays that the map holds besides.
+    """
+    if taken := [name for name in statistics if name in fixed]:
+        raise ValueError(f"a map cannot keep a statistic {taken[0]!r}: its own {taken[0]} are called so")
     study = {
         "schema": SCHEMA,
         # The front door is in no storey, but whoever calls has come through it.
@@ -52,6 +61,26 @@ def of_study(
     return json.loads(canonical(study))
 
 
+def check_name(name: object) -> None:
+    """Raise unless it may name an array of a map: what names a file and a variable is nothing else."""
+    if not isinstance(name, str) or not re.fullmatch(r"[a-z][a-z0-9_]*", name):
+        raise ValueError(f"name must be of small letters, digits and _, got {name!r}")
+
+
+def check_stored(spec: dict) -> None:
+    """Raise where a stored spec says what no sweep writes; anyone may have written the file.
+
+    Raises:
+        ValueError: Names that would lead out of the map or into the commands of its page, or no such type or
+            number of rolls.
+    """
+    for name in (*spec["statistics"], *spec["fixed"]):
+        check_name(name)
+    rolls, dtype = spec["rolls"], spec["dtype"]
+    if type(rolls) is not int or rolls < 1 or dtype not in ("float32", "float64"):
+        raise ValueError(f"rolls and dtype must be a whole number and a type, got {rolls!r} and {dtype!r}")
+
+
 def is_certified(statistics: Mapping[str, dict[str, Any]]) -> bool:
     """Whether doubtful goals were solved again in float64: there the arm counts as it was given."""
     return any(told.get("certified", False) for told in statistics.values())
@@ -62,6 +91,13 @@ def of_set(chosen) -> dict:
     fields = {field.name: getattr(chosen, field.name) for field in dataclasses.fields(chosen)}
     plain = {name: value for name, value in fields.items() if not isinstance(value, np.ndarray)}
     return {"kind": type(chosen).__name__, **plain}
+
+
+def frozen(array) -> np.ndarray:
+    """A copy that nobody can write to, so that a map keeps the numbers that its spec has the hash of."""
+    copy = np.array(array, float)
+    copy.setflags(write=False)
+    return copy
 
 
 def hash_of(array: np.ndarray) -> str:
@@ -85,9 +121,9 @@ def differences(there: dict, here: dict) -> list[str]:
     for key in sorted(there.keys() | here.keys()):
         a, b = there.get(key), here.get(key)
         if isinstance(a, dict) and isinstance(b, dict):
-            rows += [f"{key}.{row}" for row in differences(a, b)]
+            rows += [f"{line(key)}.{row}" for row in differences(a, b)]
         elif a != b:
-            rows.append(f"{key}: {_short(a)} there, {_short(b)} here")
+            rows.append(f"{line(key)}: {_short(a)} there, {_short(b)} here")
     return rows
 
 
@@ -118,7 +154,15 @@ def _numbers(leaf) -> list:
 
 
 def to_arm(spec: dict) -> Arm:
-    """The arm of `of_arm`."""
+    """The arm of `of_arm`.
+
+    Raises:
+        ValueError: Numbers that make no arm, a family or a task that is none.
+    """
+    tasks: dict[str | None, str] = {name: rule.task for name, rule in structure.RULES.items()}
+    tasks[None] = "pose"
+    if tasks.get(spec["family"]) != spec["task"]:
+        raise ValueError(f"there is no family {spec['family']!r} with the task {spec['task']!r}")
     limits = [[-math.inf if lo is None else lo, math.inf if hi is None else hi] for lo, hi in spec["limits"]]
     table = {name: spec[name] for name in (*_LEAVES, *_OPTIONAL)} | {"limits": limits}
     # Leaves that were rounded to float32 are judged as such: the family is the one that was stored.

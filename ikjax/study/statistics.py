@@ -76,7 +76,7 @@ def plan(arm: Arm, wanted: Iterable[str | Own], orientations: int, rolls: int = 
     Raises:
         ValueError: A name that is none, or one twice, or no name at all.
     """
-    given, known = list(wanted), available(arm)
+    given, known = list(wanted), available()
     names = [each.name if isinstance(each, Own) else str(each) for each in given]
     wrong = [name for name, each in zip(names, given, strict=True) if (name in known) == (each is not name)]
     if wrong or not names or len(set(names)) < len(names):
@@ -109,8 +109,8 @@ def certified(plan: Plan) -> Plan:
     return Plan(again, plan.lanes, certify=True)
 
 
-def available(arm: Arm) -> list[str]:
-    """Names of statistics."""
+def available() -> list[str]:
+    """Names of statistics: every arm that can be swept has all of them."""
     return [*(name + end for name in _TWINS for end in ("", "_within")), "best_limit_distance"]
 
 

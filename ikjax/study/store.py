@@ -217,6 +217,10 @@ def read(place: Place) -> tuple[Head, dict[str, "Stored"]]:
         if schema != specs.SCHEMA:
             raise ValueError(f"{place} has schema {schema}, this version reads schema {specs.SCHEMA}")
         raise ValueError(f"{place}: zarr.json was changed by hand or damaged; {_MEND}")
+    try:
+        specs.check_stored(head.spec)
+    except ValueError as error:
+        raise ValueError(f"{place} is no map that a sweep has written: {error}") from error
     units = layout.units(head.shape, head.chunk)
     if head.state == "clearing":
         raise ValueError(f"{place} is unfinished: {len(units)} of {len(units)} units are missing; {_GO_ON}")

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from ikjax.core.vector import Matrix, Vector
+from ikjax.study.spec import frozen
 
 LARGEST = 2**30
 """Bytes of a file."""
@@ -26,11 +27,15 @@ class Surface:
     """Points, perhaps with normals."""
 
     xyz: np.ndarray
-    """(n, 3) [m]"""
+    """(n, 3) [m], read-only."""
     normals: np.ndarray | None = None
-    """(n, 3) unit vectors that point out of the part."""
+    """(n, 3) unit vectors that point out of the part, read-only."""
 
     axes = ("point",)
+
+    def __post_init__(self):
+        object.__setattr__(self, "xyz", frozen(self.xyz))
+        object.__setattr__(self, "normals", None if self.normals is None else frozen(self.normals))
 
     def __eq__(self, other) -> bool:
         if not isinstance(other, Surface) or self.named().keys() != other.named().keys():

@@ -9,6 +9,7 @@ import dataclasses
 import functools
 from collections.abc import Callable, Iterable, Mapping
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -90,8 +91,10 @@ def sweep(
         SweepStoppedError: `stop` gave a reason.
     """
     dtype = _checked(arm, positions, rolls, dtype, certify)
+    # The map keeps the arm that was swept, whatever becomes of arrays that the caller may write to.
+    arm = jax.tree.map(lambda leaf: leaf.copy() if isinstance(leaf, np.ndarray) else leaf, arm)
     turns = as_orientations(orientations)
-    plan = _plan(arm, statistics, turns, rolls, certify)
+    plan = _plan(arm.astype(dtype), statistics, turns, rolls, certify)
     fixed = layout.fixed(positions, turns)
     study = spec.of_study(arm, positions, turns, rolls, dtype.name, plan.told(), fixed)
     kernel = kernel_of(arm, positions, turns, rolls, dtype, plan)
@@ -160,7 +163,8 @@ def _checked(arm: Arm, positions, rolls: int, dtype, certify: bool) -> np.dtype:
         raise ValueError(
             f"{arm.name} moves in a plane (task {arm.task!r}), so a map in space says nothing of it"
         )
-    if not isinstance(positions, Grid | Shell | Surface):
+    # A class of one's own may place them anyhow, and a map says nothing but the name of the class.
+    if type(positions) not in (Grid, Shell, Surface):
         raise ValueError(f"positions must be a grid, a shell or a surface, got {type(positions).__name__}")
     dtype = np.dtype(arm.dtype if dtype is None else dtype)
     if dtype.name not in TOLERANCE:

@@ -1,10 +1,11 @@
-"""Reading what a design study may move: `vary` and `ties` as a user writes them.
+"""Reading what a design study may move: `vary`, `ties` and linear constraints as a user writes them.
 
 Storey: study. Host side. Whatever would take the arm out of its family is refused here, before anything runs.
 """
 
 import re
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -17,8 +18,8 @@ from ikjax.study.parameters import TWIST, Parameters
 PARTS = {"": TWIST, "xyz": TWIST[:3], "turn": TWIST[3:], **{part: (part,) for part in TWIST}}
 
 
-def chosen(arm: Arm, vary: Mapping, ties: Sequence[str] = ()) -> Parameters:
-    """The numbers named in `vary`, with their bounds, and the ties between them.
+def chosen(arm: Arm, vary: Mapping, ties: Sequence[str] = (), rules: Sequence[str] = ()) -> Parameters:
+    """The numbers named in `vary`, with their bounds, and the ties and rules between them.
 
     Args:
         arm: An arm with a family.
@@ -27,10 +28,12 @@ def chosen(arm: Arm, vary: Mapping, ties: Sequence[str] = ()) -> Parameters:
             for what the mask says; or of a mount: "base", "base.xyz", "base.turn", "base.x" ... "base.rz",
             and "tool" likewise, in metres and radians from where it is.
         ties: Equations such as "a2 + 2 d4 = 1"; numbers of the table that do not vary stand for themselves.
+        rules: Inequalities such as "a2 + 2 d4 <= 1", likewise.
 
     Raises:
         ValueError: A name that is none, bounds that are none, a number that would leave the family
-            within its bounds, ties that cannot be read or met: the message says what may vary.
+            within its bounds, ties or rules that cannot be read, ties that cannot be met: the message says
+            what may vary.
     """
     bounds: dict[str, tuple[float, float]] = {}
     for name, value in vary.items():
@@ -46,7 +49,14 @@ def chosen(arm: Arm, vary: Mapping, ties: Sequence[str] = ()) -> Parameters:
         raise ValueError(f"vary must name what may move: {_offer(arm)}")
     _check_family(arm, bounds)
     lower, upper = zip(*bounds.values(), strict=True)
-    made = Parameters(tuple(bounds), lower, upper, tuple(_tie(arm, tuple(bounds), text) for text in ties))
+    names = tuple(bounds)
+    made = Parameters(
+        names,
+        lower,
+        upper,
+        tuple(_row(arm, names, text, _TIE) for text in ties),
+        tuple(_row(arm, names, text, _RULE) for text in rules),
+    )
     _check_ties(made, ties)
     return made
 
@@ -97,35 +107,48 @@ def _check_family(arm: Arm, bounds: Mapping[str, tuple[float, float]]) -> None:
                 )
 
 
-def _tie(arm: Arm, names: tuple[str, ...], text: str) -> tuple[float, ...]:
-    """Factors of the names, and what they sum up to."""
-    sides = text.split("=")
-    if len(sides) != 2:
-        raise ValueError(f"a tie must be an equation such as 'a2 + d4 = 1', got {text!r}")
-    factors, total = np.zeros(len(names)), 0.0
-    for sign, side in zip((1, -1), sides, strict=True):
-        terms = re.findall(r"([+-]?)\s*([^+-]+)", side)
+class _Kind(NamedTuple):
+    """What a row of factors stands for, in words, and the signs that may stand in it."""
+
+    name: str
+    must: str
+    signs: Mapping[str, int]
+    """And whether the left side counts or, for -1, the right."""
+
+
+_TIE = _Kind("tie", "an equation such as 'a2 + d4 = 1'", {"=": 1})
+_RULE = _Kind("constraint", "a function or an inequality such as 'a2 + d4 <= 1'", {"<=": 1, ">=": -1})
+
+
+def _row(arm: Arm, names: tuple[str, ...], text: str, kind: _Kind) -> tuple[float, ...]:
+    """Factors of the names, and what they sum up to, at most in an inequality."""
+    sides = re.split("(<=|>=|=)", text)
+    if len(sides) != 3 or sides[1] not in kind.signs:
+        raise ValueError(f"a {kind.name} must be {kind.must}, got {text!r}")
+    factors, total, way_round = np.zeros(len(names)), 0.0, kind.signs[sides[1]]
+    for sign, side in zip((way_round, -way_round), sides[::2], strict=True):
+        terms = re.findall(r"([+-]?)\s*([^+-]+)", side.strip())
         if not terms:
-            raise ValueError(f"a tie must have something on both sides, got {text!r}")
+            raise ValueError(f"a {kind.name} must have something on both sides, got {text!r}")
         for way, term in terms:
-            factor, name = _term(term, text)
+            factor, name = _term(term, text, kind)
             factor *= sign * (-1 if way == "-" else 1)
             if name in names:
                 factors[names.index(name)] += factor
             elif name is None or "." not in name:
                 total -= factor * (1.0 if name is None else freedom.number(arm, name))
             else:
-                raise ValueError(f"the tie {text!r} speaks of {name}, which does not vary")
+                raise ValueError(f"the {kind.name} {text!r} speaks of {name}, which does not vary")
     if not factors.any():
-        raise ValueError(f"the tie {text!r} speaks of nothing that varies: {', '.join(names)}")
+        raise ValueError(f"the {kind.name} {text!r} speaks of nothing that varies: {', '.join(names)}")
     return (*factors.tolist(), total)
 
 
-def _term(term: str, text: str) -> tuple[float, str | None]:
+def _term(term: str, text: str, kind: _Kind) -> tuple[float, str | None]:
     """A factor and a name, either of which may be left out."""
     found = re.fullmatch(r"(\d+\.?\d*|\.\d+)?\s*\*?\s*([a-z]+\.[a-z]+|[a-z]+\d+)?", term.strip())
     if not found or not term.strip():
-        raise ValueError(f"cannot read {term.strip()!r} in the tie {text!r}")
+        raise ValueError(f"cannot read {term.strip()!r} in the {kind.name} {text!r}")
     factor, name = found.groups()
     return float(factor or 1), name
 

@@ -13,6 +13,7 @@ from ikjax.arm.arm import Arm
 from ikjax.arm.forward import fk, frames
 from ikjax.arm.jacobian import jacobian
 from ikjax.ik.solve import check_family, solve
+from ikjax.ik.starts import ranges
 from ikjax.solvers.family import TOLERANCE, reach
 
 BATCH = 20_000
@@ -85,11 +86,9 @@ def _parts(count: int, singular: int):
 
 
 def _joints(arm: Arm, size: int, rng) -> np.ndarray:
-    """Joint values within the limits; turns at most once round, slides at most a reach either way."""
-    span = np.where([kind == "R" for kind in arm.kinds], np.pi, float(reach(arm.baked())))
-    low, high = np.asarray(arm.limits, float).T
-    low, high = np.where(np.isfinite(low), low, -span), np.where(np.isfinite(high), high, span)
-    return rng.uniform(low, np.minimum(high, low + 2 * span), (size, arm.n))
+    """Joint values within the limits."""
+    low, high = (np.asarray(end, float) for end in ranges(arm))
+    return rng.uniform(low, high, (size, arm.n))
 
 
 def _at_right_angles(arm: Arm, q: np.ndarray, rng) -> np.ndarray:

@@ -82,3 +82,9 @@ def test_typed_goals_are_followed_and_goals_that_are_no_poses_waited_out():
         np.testing.assert_array_equal(np.isnan(getattr(path, field)), lost)
     np.testing.assert_array_equal(path.q[2], path.q[1])
     np.testing.assert_allclose(path.q[~lost], q[~lost], atol=5e-3)
+
+
+def test_an_arm_of_no_family_raises_by_name():
+    arm = dataclasses.replace(ARM, family=None)
+    with pytest.raises(ValueError, match="motoman_l3 has no closed form"):
+        ikjax.track(arm, np.tile(np.eye(4), (3, 1, 1)), np.zeros(5))

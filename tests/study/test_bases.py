@@ -2,10 +2,15 @@
 
 import dataclasses
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import ikjax
+from ikjax.study.climb import Known
+from ikjax.study.nudge import Hill
+from ikjax.study.room import room
 
 UPPER, FORE = 0.6, 0.3
 ARM = ikjax.robots.planar_2r(UPPER, FORE)
@@ -193,3 +198,47 @@ def test_a_map_that_does_not_serve_is_refused_by_name(scara):
 def test_mistakes_are_named(change, message):
     with pytest.raises(ValueError, match=message):
         ikjax.place(ARM, change.pop("goals", ring()), **change)
+
+
+TURN_AND_TILT = {"bounds": {"tilt": (-0.6, 0.6)}, "turns": 6, "starts": 4, "steps": 30}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("move", [("turn", "tilt"), ("x", "z", "turn", "tilt")])
+def test_a_tilted_base_is_the_one_that_was_judged(move, costly_dtype):
+    arm = ikjax.robots.gx4_351s()
+    # The first joint has limits, so that the turn counts, and goes on from half a turn.
+    arm = dataclasses.replace(arm, limits=np.array([(-0.7, 0.7), *arm.limits[1:3], (-1.2, 1.5)]))
+    lower, upper = np.asarray(arm.limits).T
+    q = np.random.default_rng(0).uniform(lower, upper, (24, 4))
+    stand = np.eye(4)
+    stand[:3, :3] = Rotation.from_rotvec([0.35, 0.1, 0]).as_matrix() @ about_z(3.1)[:3, :3]
+    goals = np.asarray(ikjax.fk(dataclasses.replace(arm, base=stand @ np.asarray(arm.base)), q))
+    options = TURN_AND_TILT | ({"spacing": 0.3} if "x" in move else {})
+    found = ikjax.place(arm, goals.astype(costly_dtype), move=move, **options)
+    for bases, shares in ((found.base, found.share), (found.start, found.start_share)):
+        for base, share in zip(bases, shares, strict=True):
+            there = dataclasses.replace(arm.astype(costly_dtype), base=base)
+            sol = ikjax.limited_margins(there, ikjax.solve(there, goals.astype(costly_dtype)))
+            assert np.asarray(sol.valid.any(-1)).mean() == share
+    for base, share, worst, reached in zip(
+        found.base, found.share, found.worst_margin, found.reached, strict=True
+    ):
+        there = dataclasses.replace(arm.astype(costly_dtype), base=base)
+        sol = ikjax.limited_margins(there, ikjax.solve(there, goals.astype(costly_dtype)))
+        np.testing.assert_array_equal(sol.valid.any(-1), reached)
+        assert sol.margin.max(-1).min() == pytest.approx(worst) and reached.mean() == share
+        lean = Rotation.from_matrix(base[:3, :3] @ np.asarray(arm.base)[:3, :3].T).as_quat()
+        assert 2 * np.arctan2(np.hypot(*lean[:2]), np.hypot(*lean[2:])) <= 0.6 * 2**0.5 + 1e-6
+
+
+def test_a_whole_turn_more_is_the_same_place_whatever_the_tilt():
+    given = room(ARM, np.zeros((1, 3)), 1.0, ("x", "turn", "tilt"), {}, None, 12, True)
+    places = np.array([[0.1, 0, 0, 0.4, -0.2, 3.0], [0.1, 0, 0, 0.4, -0.2, 3.0 - 2 * np.pi]])
+    one, other = given.bases(places)
+    np.testing.assert_allclose(one, other, atol=1e-14)
+    assert list(given.distinct(places, 2)) == [0]
+    # As polishing has it.
+    hill = Hill(Known(ARM), ("x", "rx", "ry", "rz"), True, 1)
+    climbed = hill.base(jnp.asarray(ARM.base), jnp.array([0.1, 0.4, -0.2, 3.0 + 2 * np.pi]))
+    np.testing.assert_allclose(climbed, one, atol=1e-14)

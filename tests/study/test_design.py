@@ -91,6 +91,16 @@ def test_a_constraint_holds_in_the_end():
     np.testing.assert_allclose(short.numbers, BEST, atol=2e-3)
 
 
+def test_a_constraint_may_be_an_inequality_in_words(rng):
+    arm, vary = ikjax.robots.planar_2r(0.9, 0.3), {"a": (0.1, 2.0)}
+    for rule in ("a1 + a2 <= 1.3", "1.3 >= a1 + a2", "a1 - 1.3 <= -1 * a2", "-a1 - a2 >= -1.3"):
+        made = chosen(arm, vary, rules=[rule])
+        for a1, a2 in rng.uniform(0.1, 2, (5, 2)):
+            np.testing.assert_allclose(made.over(jnp.array([a1, a2])), [a1 + a2 - 1.3], atol=1e-12)
+    found = ikjax.design(arm, ring(), vary, constraints="a1 + a2 <= 1.3", starts=1, steps=0)
+    assert found.violation == pytest.approx(-0.1)
+
+
 def test_a_constraint_that_is_no_number_is_not_met():
     def short(arm):
         return jnp.log(0.45 - arm.a[1])  # negative below 0.45, no number above
@@ -191,6 +201,7 @@ def test_what_is_free_is_what_keeps_the_family():
         ({"a2": (0.2, 0.5)}, ["a2 + wrong = 1"], r"cannot read 'wrong'"),
         ({"a2": (0.2, 0.5)}, ["d4 = 1"], r"nothing that varies"),
         ({"a2": (0.2, 0.5)}, ["a2 + base.x = 1"], r"base.x, which does not vary"),
+        ({"a2": (0.2, 0.5)}, "a2 = -0.1", r"'a2 = -0.1' cannot be met within the bounds"),
         ({"a2": (0.2, 0.5)}, ["a2 + d4 = 2"], r"cannot be met within the bounds"),
     ],
 )
@@ -214,6 +225,14 @@ def test_numbers_that_stand_still_count_in_a_tie():
         ({"batch": 0}, "batch must be at least 1"),
         ({"blur": (0, 0)}, "blur must be two positive numbers"),
         ({"constraints": lambda arm: arm.a.sum()}, "constraints must be a sequence of functions"),
+        ({"constraints": [lambda arm: arm.a.sum() <= 1.3]}, r"not whether it is: .*<lambda> returns bool"),
+        ({"constraints": [lambda arm: arm.n == 2]}, "returns bool"),
+        ({"constraints": [1.3]}, "must be a function or an inequality such as .*, got 1.3"),
+        ({"constraints": ["a1 + a2 = 1.3"]}, "a constraint must be a function or an inequality"),
+        ({"constraints": ["a1 <= "]}, "a constraint must have something on both sides"),
+        ({"constraints": ["a1 <= 1 <= a2"]}, "a constraint must be a function or an inequality"),
+        ({"constraints": ["d1 <= 1"]}, "the constraint 'd1 <= 1' speaks of nothing that varies"),
+        ({"constraints": ["a1 + b <= 1"]}, "cannot read 'b' in the constraint"),
         ({"objective": never, "steps": 0}, "objective must give a number for some arm"),
         ({"objective": "dexterity"}, r"dexterity wants goals \(positions, orientations"),
     ],

@@ -11,8 +11,10 @@ import small
 
 import ikjax
 from ikjax.study import orientations as turns
+from ikjax.study.goals import Grid
 from ikjax.study.phase import about_z
 from ikjax.study.statistics import unpacked
+from ikjax.study.surface import Surface
 
 ARM = ikjax.robots.ur5()
 LIGHT = (
@@ -229,3 +231,29 @@ def test_what_is_no_set_is_refused_by_name(call, message, tmp_path):
 
     with pytest.raises(ValueError, match=message):
         call(path)
+
+
+def test_a_set_is_as_it_was_given_whatever_becomes_of_the_array():
+    points, rotations = np.array([[0.2, 0.0, 0.1]]), np.eye(3)[None].copy()
+    surface, listed = Surface(points, points / 0.5), turns.as_orientations(rotations)
+    points += 1
+    rotations *= -1
+    np.testing.assert_array_equal(surface.xyz, [[0.2, 0, 0.1]])
+    np.testing.assert_array_equal(listed.rotations, np.eye(3)[None])
+    for array in (surface.xyz, surface.normals, listed.rotations):
+        with pytest.raises(ValueError, match="read-only"):
+            array[:] = 0
+
+
+def test_a_set_of_another_class_is_refused_because_a_map_could_not_say_what_it_was():
+    class Shifted(Grid):
+        def axis(self, k):
+            return super().axis(k) + 0.1
+
+    class Turned(turns.Even):
+        pass
+
+    with pytest.raises(ValueError, match="must be a grid, a shell or a surface, got Shifted"):
+        ikjax.sweep(ARM, Shifted((0.0, 0.0, 0.0), 0.1, (2, 2, 2)), 1)
+    with pytest.raises(ValueError, match=r"got .*Turned"):
+        turns.as_orientations(Turned(4))

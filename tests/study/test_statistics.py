@@ -1,7 +1,9 @@
 """Statistics say of every position what `solve`, the Jacobian and the limits say of its goals."""
 
 import dataclasses
+import functools
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -154,3 +156,78 @@ def test_means_of_many_solutions_are_rounded_so_that_sums_fit():
         for rolls in (1, 5, 36, 1024):
             whole = measures.LARGEST / measures.unit_of_mean(slots, rolls) * slots * rolls
             assert whole * statistics.GROUP <= 2**31
+
+
+def with_weights(weights) -> dict:
+    """Functions that give other numbers with other weights, each holding them in another way."""
+    w, array, key = np.asarray(weights), jnp.asarray(weights), jax.random.key(int(weights[0]))
+    long = np.zeros(4000)
+    long[2000:2002] = w  # where jax prints an ellipsis
+
+    def weighted(x, w):
+        return (x * w.reshape((1,) * (x.ndim - 1) + (-1,))).max(-1)
+
+    inner = jax.jit(lambda x: weighted(x, array))
+    ruled = jax.custom_jvp(lambda x: inner(x))
+    ruled.defjvp(lambda x, t: (ruled(*x), ruled(*t)))
+
+    class Thing:
+        def __call__(self, sol):
+            return jax.jit(lambda x: weighted(x, w))(sol.margin)
+
+    return {
+        "numpy": lambda sol: weighted(sol.margin, w),
+        "a float": lambda sol: sol.margin.max(-1) * float(w[0]),
+        "a last digit": lambda sol: sol.margin.max(-1) + (1 + 2.3e-16 * float(w[0])),
+        "partial": functools.partial(lambda w, sol: weighted(sol.margin, w), w),
+        "an object": Thing(),
+        "jit": lambda sol: inner(sol.margin),
+        "jit in jit": lambda sol: jax.jit(lambda x: inner(x))(sol.margin),
+        "vmap of jit": lambda sol: jax.vmap(inner)(sol.margin),
+        "grad of jit": lambda sol: jax.grad(lambda x: inner(x).sum())(sol.margin).max(-1),
+        "cond": lambda sol: jax.lax.cond(sol.valid.any(), inner, lambda x: x.min(-1), sol.margin),
+        "scan": lambda sol: jax.lax.map(inner, sol.margin),
+        "while": lambda sol: jax.lax.fori_loop(0, 2, lambda i, x: x + inner(sol.margin), sol.margin.max(-1)),
+        "remat": lambda sol: jax.checkpoint(inner)(sol.margin),
+        "custom_jvp": lambda sol: ruled(sol.margin),
+        "a long array": lambda sol: jax.jit(lambda x: x.max(-1) + jnp.asarray(long).sum())(sol.margin),
+        "a key": lambda sol: jax.jit(lambda x: x.max(-1) + jax.random.normal(key, ()))(sol.margin),
+    }
+
+
+@pytest.mark.parametrize("name", with_weights([1.0, 1.0]))
+def test_every_number_that_a_measure_holds_is_part_of_its_program(arm, name):
+    first, again, other = (
+        ikjax.Measure("score", with_weights(w)[name], "max").facts(arm)["code"]
+        for w in ([1.0, 1.0], [1.0, 1.0], [5.0, 5.0])
+    )
+    assert first == again != other
+
+
+def test_what_a_measure_reads_from_outside_counts_as_it_is_when_the_sweep_begins():
+    weight = [1.0]
+    own = [ikjax.Measure("score", lambda sol: weight[0] * sol.margin.max(-1), "max")]
+    one = small.swept(statistics=own).arrays["score"]
+    weight[0] = 4.0
+    np.testing.assert_array_equal(small.swept(statistics=own).arrays["score"], 4 * one)
+
+
+def test_a_measure_whose_program_cannot_be_told_is_refused(arm):
+    calls = iter(range(100))
+
+    def host(sol):
+        shape = jax.ShapeDtypeStruct(sol.margin.shape[:-1], sol.margin.dtype)
+        return jax.jit(lambda x: jax.pure_callback(lambda x: np.asarray(x).max(-1), shape, x))(sol.margin)
+
+    for function, message in (
+        (lambda sol: sol.margin.max(-1) * next(calls), "score must do the same whenever it is called"),
+        (host, "score must be made by jax alone, got pure_callback"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            small.swept(statistics=[ikjax.Measure("score", function, "max")])
+
+
+def test_a_statistic_is_not_called_as_an_axis_of_the_map_is():
+    for name in ("x", "rotations"):
+        with pytest.raises(ValueError, match=f"cannot keep a statistic '{name}'"):
+            small.swept(statistics=[ikjax.Measure(name, lambda sol: sol.margin.max(-1), "max")])
