@@ -35,6 +35,10 @@ class Verdict(NamedTuple):
     """Every family tried, with its checks, in order."""
 
 
+NONE = Verdict(None, (), (), "pose", {})
+"""No family was looked for."""
+
+
 def recognise(
     kinds: str,
     numbers: dict,

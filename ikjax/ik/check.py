@@ -13,7 +13,7 @@ from ikjax.core.warn import warn
 from ikjax.ik.refusal import refusal, what_was_found
 from ikjax.ik.solve import as_goals
 from ikjax.solvers import FAMILIES
-from ikjax.solvers.family import ROTATION_TOLERANCE, reach
+from ikjax.solvers.family import ROTATION_TOLERANCE, TOLERANCE, as_solved, reach
 
 FAR = 10
 """Goals beyond so many reaches are taken for millimetres: one within reach is, in millimetres, a hundred
@@ -107,6 +107,16 @@ def explain(arm: Arm) -> str:
         lines.append(
             f"As given, its axes are off by up to {off[:, 3:].max():.2g} rad and {off[:, :3].max():.2g} m; "
             "solve answers for the arm as given."
+        )
+        unnoticed = [name for name in TOLERANCE if as_solved(arm.astype(name)).correction is None]
+        if unnoticed:
+            lines.append(
+                f"In {' and '.join(unnoticed)} that is less than a hundredth of what `valid` allows, and is "
+                "left out."
+            )
+    if not arm.complete:
+        lines.append(
+            "complete = False: beside its folds the arm as given may have solutions in no slot."
         )
     if arm.coupling is not None:
         lines.append("Joints are coupled: q holds motor values.")

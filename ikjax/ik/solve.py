@@ -21,6 +21,7 @@ from ikjax.ik.graph import solve_here
 from ikjax.ik.implicit import with_slopes
 from ikjax.ik.refusal import refusal
 from ikjax.ik.solutions import Solutions
+from ikjax.solvers.family import as_solved
 
 
 def solve(
@@ -51,7 +52,7 @@ def solve(
     """
     check_family(arm)
     goals = as_goals(goals)
-    arm = arm.astype(goals.dtype).baked()
+    arm = as_solved(arm.astype(goals.dtype).baked())
     batch = goals.shape[:-2]
     if q_now is not None:
         q_now = as_array(q_now, goals.dtype)

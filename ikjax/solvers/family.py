@@ -4,6 +4,7 @@ Storey: solvers. The goal is brought to units of the reach and to the frame its 
 family proposes joints for every slot, and forward kinematics on the given arm decides which hold.
 """
 
+import dataclasses
 import functools
 import math
 from collections.abc import Callable
@@ -28,6 +29,7 @@ from ikjax.arm.forward import (
 )
 from ikjax.core import pose as poses
 from ikjax.core import safe, vector
+from ikjax.core.known import is_traced
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Angle, Scalar, atan2, canonical, sincos, wrap
 from ikjax.solvers import FAMILIES, Family
@@ -68,6 +70,23 @@ class Slot(NamedTuple):
     """Square of the larger error, in tolerances: valid slots have at most 1."""
     is_pose: jax.Array | bool = True
     """Whether the goal was one, which is known before it is cleaned."""
+
+
+def as_solved(arm: Arm) -> Arm:
+    """The arm without a correction that is too small for `valid` to see in the arm's type.
+
+    A hundredth of the tolerance is below what decides; the arm as recognised is solved at full speed.
+    """
+    if arm.correction is None or is_traced(arm):
+        return arm
+    off, size = np.abs(np.asarray(arm.correction, float)), float(reach(arm))
+    most = max(off[:, :3].max() / size, off[:, 3:].max())
+    return dataclasses.replace(arm, correction=None) if most <= unseen(arm.dtype) else arm
+
+
+def unseen(dtype) -> float:
+    """What a correction must be larger than to count, [rad] and as a share of the reach."""
+    return TOLERANCE[np.dtype(dtype).name] / 100
 
 
 class Frame(NamedTuple):

@@ -15,6 +15,7 @@ from ikjax.arm.arm import Arm
 from ikjax.ik.check import check_goals
 from ikjax.ik.margins import limited_margins
 from ikjax.ik.solve import as_goals, check_family, solve
+from ikjax.solvers.family import as_solved
 from ikjax.solvers.family import reach as reach_of
 from ikjax.study import candidates
 from ikjax.study.climb import Known
@@ -90,7 +91,7 @@ def place(
         least = 0 if name == "steps" else 1
         if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
             raise ValueError(f"{name} must be a whole number, at least {least}, got {value!r}")
-    arm = arm.astype(given.dtype)
+    arm = as_solved(arm.astype(given.dtype))
     size = float(reach_of(arm.baked()))
     where = room(arm, flat[:, :3, 3].astype(float), size, move, bounds or {}, spacing, turns, limits)
     points = where.grid.points().reshape(-1, 3)

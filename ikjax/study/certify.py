@@ -16,6 +16,7 @@ from ikjax.arm.arm import Arm
 from ikjax.core import vector
 from ikjax.core.pose import Pose
 from ikjax.ik.blocks import wide_vectors
+from ikjax.solvers.family import as_solved
 from ikjax.study.goal import GROUP, Lane
 from ikjax.study.loop import each_goal, rows_of
 from ikjax.study.orientations import Orientations
@@ -43,7 +44,7 @@ def lanes_of(groups: list[Group]) -> dict[str, Lane]:
 
 def program(arm: Arm, positions, orientations: Orientations, rolls: int, lanes: dict[str, Lane]):
     """From tables, places (BLOCK, axes) and orientations (BLOCK,) to the number of each lane, (BLOCK,)."""
-    arm = arm.astype(WIDE).baked()
+    arm = as_solved(arm.astype(WIDE).baked())
     # A word a lane: their numbers are wanted one by one.
     words = tuple(word for name, lane in lanes.items() for word in words_of({name: lane}, rolls))
     group = Group(words, held=True, coded=False)

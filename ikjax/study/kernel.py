@@ -17,6 +17,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from ikjax.arm.arm import Arm
 from ikjax.ik.blocks import THREADS, one_thread
 from ikjax.ik.graph import is_small
+from ikjax.solvers.family import as_solved
 from ikjax.study import spec
 from ikjax.study.certify import Certifier, lanes_of, program
 from ikjax.study.goal import GROUP
@@ -124,7 +125,7 @@ def kernel_of(arm: Arm, positions, orientations: Orientations, rolls: int, dtype
 
     Positions are shared out over this process's devices, each of which runs the same program.
     """
-    given, arm = arm, arm.astype(dtype).baked()
+    given, arm = arm, as_solved(arm.astype(dtype).baked())
     place, turn = positions.tables(dtype), orientations.tables(dtype)
     groups = groups_of(plan.lanes, rolls, is_small(arm), plan.certify)
     words = [word for group in groups for word in group.words]
