@@ -115,9 +115,7 @@ def explain(arm: Arm) -> str:
                 "left out."
             )
     if not arm.complete:
-        lines.append(
-            "complete = False: beside its folds the arm as given may have solutions in no slot."
-        )
+        lines.append("complete = False: beside its folds the arm as given may have solutions in no slot.")
     if arm.coupling is not None:
         lines.append("Joints are coupled: q holds motor values.")
     lines.append(_HELD if FAMILIES[arm.family].nearest else _CLAMPED)

@@ -241,7 +241,7 @@ def solve_scalars(
     branches = family.branches(arm.signs, frame.links, tip, setting)
     if frame.between is not None:
         given = Given(frame.links, frame.between, frame.tool)
-        branches, gaps, turns = polished(given, branches, tip, turning, tolerance, setting)
+        branches, gaps, turns = polished(given, branches, tip, turning, (allowed, tolerance), setting)
         measured = list(zip(gaps, turns, strict=True))
     else:
         measured = [_mismatch(frame, family, branch) for branch in branches]

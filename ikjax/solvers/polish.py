@@ -6,7 +6,6 @@ Source: damped least squares; Wampler (1986), Nakamura and Hanafusa (1986).
 """
 
 import functools
-import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -24,7 +23,10 @@ from ikjax.core.xla import pinned
 from ikjax.solvers.branch import Branch, Joints, Setting, Slide, moved_on, placed
 
 STEPS = 8
-"""At most so many: beside a fold a step only halves the error."""
+"""At most so many beside a fold, where a step only halves the error."""
+
+CHUNK = 256
+"""Goals beside folds that are worked on together."""
 
 LARGEST_STEP = 0.3
 """The largest move of a joint in one step [rad, or reaches]."""
@@ -40,30 +42,19 @@ class Given(NamedTuple):
     """The tool point seen from the last frame."""
 
 
-def stages_and_steps(off: Scalar, tolerance: float) -> tuple[int, int]:
-    """How many stages of how many Newton steps bring an arm that is off by so much within a tolerance.
-
-    Away from folds each step squares the error, so that two are enough for a thousandth. Beside a fold the
-    start is off by the square root of what the arm is off by, each step halves that, and the pose's error
-    goes with its square. The second stage parts two slots that went to one answer.
-    """
-    if not isinstance(off, float):
-        return 2, STEPS
-    ratio = 32 * off / tolerance
-    if ratio <= 0.1:
-        return 1, 1
-    return 2, min(STEPS, 2 + math.ceil(max(0, math.log2(ratio)) / 2))
-
-
 def polished(
     given: Given,
     slots: tuple[Branch, ...],
     goal: Pose,
     turning: bool,
-    tolerance: float,
+    allowed: tuple[Scalar, float],
     setting: Setting,
 ) -> tuple[tuple[Branch, ...], list[Scalar], list[Scalar]]:
     """The slots after their steps, and how far each is from the goal.
+
+    All slots take the few steps that are enough away from folds, where each squares the error. Goals with a
+    slot beside a fold, or that is not there yet, are then gathered, start again and take more steps, with
+    care that two slots do not take one answer: a few goals in a hundred, which pay for themselves alone.
 
     Args:
         given: The arm.
@@ -71,7 +62,7 @@ def polished(
         goal: Pose of the last frame, seen from frame 0; where the task leaves the orientation open, the tool
             point on a frame of zeros.
         turning: Whether the task asks for an orientation.
-        tolerance: Of a valid pose.
+        allowed: Distance and angle of a valid pose, in units of the reach and rad.
         setting: What counts as zero.
 
     Returns:
@@ -79,38 +70,102 @@ def polished(
         the difference of the rotations.
     """
     start = tuple(_stacked(column) for column in zip(*(slot.joints for slot in slots), strict=True))
-    goal = Pose(*(_lifted(part) for part in goal))
-
-    def step(_, joints: Joints) -> Joints:
-        return _step(given, joints, goal, turning, setting)
-
-    stages, steps = stages_and_steps(setting.off, tolerance)
-
-    def stage(_, joints: Joints) -> Joints:
-        # Two answers near a fold lie on both sides of it: who came to another's answer tries the other side.
-        twin, _ = _claimed(start, joints)
-        joints = _where(twin, tuple(map(_mirrored, start, joints)), joints)
-        return jax.lax.fori_loop(0, steps, step, joints)
-
-    joints = step(0, start) if (stages, steps) == (1, 1) else jax.lax.fori_loop(0, stages, stage, start)
-    # Slots that meet at a fold keep their answer both. From farther off it is another's: near a fold an
-    # error counts by its square root.
-    claimed, moved = _claimed(start, joints)
-    short = float(jnp.finfo(moved.dtype).eps) ** 0.25 + 4 * safe.sqrt(32 * setting.off)
-    joints = _where(claimed & (moved > short), start, joints)
-    reached, _ = _walk(given, joints, pinned(jax.tree.leaves(joints)[0]))
-    slip = tuple(map(vector.subtract, reached.rotation, goal.rotation))
-    gap = _gap(given, reached, goal, slip)
-    gap_squared, turn_squared = vector.dot(gap, gap), sum(vector.dot(row, row) for row in slip)
-    answers = []
+    shape = jax.tree.leaves(start)[0].shape
+    margins = jnp.stack([jnp.broadcast_to(slot.margin, shape[1:]) for slot in slots]).reshape(len(slots), -1)
+    start = jax.tree.map(lambda x: x.reshape(len(slots), -1), start)
+    start = jax.tree.map(pinned(jax.tree.leaves(start)[0]), start)
+    goals = jax.tree.map(lambda x: jnp.broadcast_to(x, shape[1:]).reshape(1, -1), goal)
+    solve = _Solve(given, turning, setting)
+    size = 32 * setting.off
+    steps = _steps_at_once(setting.off, allowed[1])
+    joints = jax.lax.fori_loop(0, steps, lambda _, joints: solve.step(joints, goals), start)
+    found = _Found(joints, *solve.errors(joints, goals))
+    gap, angle = (jnp.broadcast_to(jnp.asarray(x), shape[1:]).reshape(1, -1) for x in allowed)
+    there = (found.gap_squared <= gap * gap) & (found.turn_squared <= 2 * angle * angle)
+    late = (abs(margins) <= 2 * size) | (~there & (margins > -8 * size))
+    found = _again(solve, late.any(0), start, goals, found)
+    answers, hold = [], setting.hold
     for k, slot in enumerate(slots):
         mine = tuple(
-            Slide(joint.value[k]) if isinstance(joint, Slide) else setting.angle(joint.sin[k], joint.cos[k])
-            for joint in joints
+            Slide(hold(joint.value[k].reshape(shape[1:])))
+            if isinstance(joint, Slide)
+            else setting.angle(joint.sin[k].reshape(shape[1:]), joint.cos[k].reshape(shape[1:]))
+            for joint in found.joints
         )
         answers.append(slot._replace(joints=mine))
-    count = range(len(slots))
-    return tuple(answers), [gap_squared[k] for k in count], [turn_squared[k] for k in count]
+    squares = [[x[k].reshape(shape[1:]) for k in range(len(slots))] for x in found[1:]]
+    return tuple(answers), squares[0], squares[1]
+
+
+def _steps_at_once(off: Scalar, tolerance: float) -> int:
+    """Each squares the error: two take 3e-3 below 1e-9, with what the arm's own lengths add."""
+    if not isinstance(off, float):
+        return 3
+    off *= 32
+    return 1 if off <= tolerance else 2 if off < 3e-3 else 3
+
+
+class _Found(NamedTuple):
+    """Joints of all slots (S, N), and how far they are from the goal."""
+
+    joints: Joints
+    gap_squared: jax.Array
+    turn_squared: jax.Array
+
+
+def _again(solve: "_Solve", late: jax.Array, start: Joints, goals: Pose, found: _Found) -> _Found:
+    """The goals that are late (N,) once more, with care: a chunk after the other until none is left."""
+    count = late.shape[0]
+    size = min(CHUNK, count)
+    # Late ones first; what is beyond them in the last chunk is written nowhere.
+    places = jnp.nonzero(late, size=count + size, fill_value=count)[0].astype(jnp.int32)
+
+    def chunk(state):
+        first, found = state
+        where = jax.lax.dynamic_slice_in_dim(places, first, size)
+        here = jax.tree.map(lambda x: x[:, jnp.minimum(where, count - 1)], (start, goals))
+        better = solve.with_care(*here)
+        found = jax.tree.map(lambda x, y: x.at[:, where].set(y, mode="drop"), found, better)
+        return first + size, found
+
+    left = late.sum().astype(jnp.int32)
+    return jax.lax.while_loop(lambda state: state[0] < left, chunk, (jnp.int32(0), found))[1]
+
+
+class _Solve(NamedTuple):
+    """An arm as given, and what is asked of it."""
+
+    given: Given
+    turning: bool
+    setting: Setting
+
+    def step(self, joints: Joints, goals: Pose) -> Joints:
+        return _step(self.given, joints, goals, self.turning, self.setting)
+
+    def errors(self, joints: Joints, goals: Pose) -> tuple[jax.Array, jax.Array]:
+        """Squared distance of the tool points, and squared Frobenius norm of the difference of rotations."""
+        pin = pinned(jax.tree.leaves(joints)[0])
+        reached, _ = _walk(self.given, joints, pin)
+        slip = tuple(map(vector.subtract, reached.rotation, goals.rotation))
+        gap = _gap(self.given, reached, goals, slip)
+        return pin(vector.dot(gap, gap)), pin(sum(vector.dot(row, row) for row in slip))
+
+    def with_care(self, start: Joints, goals: Pose) -> _Found:
+        """Two stages of many steps; beside a fold the answers lie on both sides of it."""
+
+        def stage(_, joints: Joints) -> Joints:
+            # Who came to another's answer tries the other side.
+            twin, _ = _claimed(start, joints)
+            joints = _where(twin, tuple(map(_mirrored, start, joints)), joints)
+            return jax.lax.fori_loop(0, STEPS, lambda _, joints: self.step(joints, goals), joints)
+
+        joints = jax.lax.fori_loop(0, 2, stage, start)
+        # Slots that meet at a fold keep their answer both. From farther off it is another's: near a fold an
+        # error counts by its square root.
+        claimed, moved = _claimed(start, joints)
+        short = self.setting.rounding**0.25 + 4 * safe.sqrt(32 * self.setting.off)
+        joints = _where(claimed & (moved > short), start, joints)
+        return _Found(joints, *self.errors(joints, goals))
 
 
 def _stack(values) -> jax.Array:
@@ -157,13 +212,6 @@ def _apart(first: Joints, last: Joints) -> jax.Array:
 
 def _difference(first: Angle | Slide, last: Angle | Slide) -> jax.Array:
     return safe.norm(*(a - b for a, b in zip(jax.tree.leaves(last), jax.tree.leaves(first), strict=True)))
-
-
-def _lifted(part):
-    """Entries with a leading axis of one."""
-    if isinstance(part, tuple):
-        return tuple(map(_lifted, part))
-    return jnp.asarray(part)[None]
 
 
 def _walk(given: Given, joints: Joints, pin: Callable[[Scalar], Scalar]) -> tuple[Pose, list[Pose]]:
