@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: sweep test suite slow long verify bench maps notebooks lint clean
+.PHONY: sweep test suite slow long verify guard bench maps notebooks lint clean
 
 sweep: $(VENV)/run.stamp            ## sweep a PUMA 560's workspace, or go on with it: a map, a picture, a summary
 	$(BIN)/ikjax sweep puma560 --spacing 0.03 --orientations 512 \
@@ -28,8 +28,12 @@ long: $(VENV)/dev.stamp             ## 10^6 goals an arm
 verify: $(VENV)/run.stamp           ## every arm of the catalogue, judged on 10^6 goals
 	$(BIN)/ikjax verify -n 1e6 --out benchmarks/VERIFY.md
 
+guard: $(VENV)/dev.stamp            ## as fast where users stand as in our own loops? three minutes, alone
+	$(BIN)/python benchmarks/guard.py
+
 bench: $(VENV)/rivals.stamp         ## against the rivals, on the same goals
 	$(BIN)/python benchmarks/run.py --out benchmarks/RESULTS.md --json out/bench.json
+	$(BIN)/python benchmarks/guard.py --results benchmarks/RESULTS.md
 
 maps: $(VENV)/rivals.stamp          ## what maps cost, and against sampled ones: a quarter of an hour, alone
 	$(BIN)/python benchmarks/maps.py all --out benchmarks/MAPS.md --pictures docs

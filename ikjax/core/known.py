@@ -19,10 +19,14 @@ def is_traced(tree: Any) -> bool:
     return any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(tree))
 
 
-def as_array(x: Any, dtype: Any) -> jax.Array:
-    """x as a jax array of a type: a tracer only if x is one."""
+def as_array(x: Any, dtype: Any) -> Any:
+    """x as an array of a type: a tracer only if x is one, numpy's if x is, else a jax array."""
     if isinstance(x, jax.core.Tracer):
         return jnp.asarray(x, dtype)
+    if isinstance(x, np.ndarray | jax.Array) and x.dtype == dtype:
+        return x
+    if isinstance(x, np.ndarray):
+        return x.astype(dtype)
     # Concrete also while an outer function is traced.
     with jax.ensure_compile_time_eval():
         return jnp.asarray(x, dtype)

@@ -105,7 +105,7 @@ def checked(arm: Arm, goals, length, steps: int) -> tuple[jax.Array, Arm]:
         raise ValueError(f"steps must be a whole number, not negative, got {steps!r}")
     if np.ndim(length) or (not isinstance(length, jax.core.Tracer) and not 0 < float(length) < np.inf):
         raise ValueError(f"length must be a positive number of metres, got {length}")
-    return goals, arm.astype(goals.dtype).baked()
+    return goals, arm.baked().astype(goals.dtype)
 
 
 def best_of(arm: Arm, goals, branches: Projection, priority: str = "weighted") -> Projection:

@@ -52,7 +52,7 @@ def solve(
     """
     check_family(arm)
     goals = as_goals(goals)
-    arm = as_solved(arm.astype(goals.dtype).baked())
+    arm = as_solved(arm.baked().astype(goals.dtype))
     batch = goals.shape[:-2]
     if q_now is not None:
         q_now = as_array(q_now, goals.dtype)
