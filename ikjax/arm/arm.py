@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ikjax.arm import dh, freedom, structure, table
-from ikjax.arm.axes import Axes, Rewritten, rewritten
+from ikjax.arm.axes import Axes, Rewritten, rewritten, size_of
 from ikjax.arm.rules import RULES
 from ikjax.core import pose as poses
 from ikjax.core import text
@@ -23,6 +23,9 @@ from ikjax.core.trig import Scalar
 from ikjax.core.warn import warn
 
 Number = jax.Array | np.ndarray
+
+SPREAD = 30
+"""A table whose numbers are larger than so many sizes of the arm is rewritten."""
 
 COMPLETE = 3e-4
 """See `Arm.complete`."""
@@ -102,7 +105,8 @@ class Arm:
 
         Args:
             a, alpha, d: (n,) link lengths [m], twists [rad], offsets [m]. In the modified
-                convention row i holds a(i-1) and alpha(i-1), as in Craig's tables.
+                convention row i holds a(i-1) and alpha(i-1), as in Craig's tables. A table of far larger
+                lengths than the arm has is rewritten, with the rest in `correction`.
             convention: "standard" or "modified"; there is no default, because a wrong guess is silent.
             theta: (n,) joint angles at q = 0 [rad], zero by default.
             kinds: "R" or "P" for each joint; all "R" by default.
@@ -133,6 +137,8 @@ class Arm:
         columns, base, up = dh.to_standard(convention, columns, base)
         leaves = {**columns, "base": base, "tool": tool, "limits": limits, "coupling": coupling}
         leaves["correction"] = dh.check_correction(correction, n)
+        if tolerance is None and correction is None and _spread_out(kinds, columns):
+            return _nearest(_axes_of(kinds, columns, tool), leaves, 0.0, family, up, name, dtype)
         if tolerance is None:
             arm = _built(kinds, leaves, family, up, name, dtype)
             if family is None:
@@ -142,9 +148,7 @@ class Arm:
             raise ValueError("correction is what tolerance= finds: give one or the other")
         if is_traced(leaves):
             raise ValueError("tolerance= needs concrete numbers: build the arm outside jit")
-        frames = dh.frames(kinds, columns)
-        given = Axes(kinds, frames[:-1, :3, 2], frames[:-1, :3, 3], frames[-1] @ tool)
-        return _nearest(given, leaves, tolerance, family, up, name, dtype)
+        return _nearest(_axes_of(kinds, columns, tool), leaves, tolerance, family, up, name, dtype)
 
     @staticmethod
     def from_urdf(
@@ -325,6 +329,20 @@ def _built(
         branches=verdict.branches,
         task=verdict.task,
     )
+
+
+def _axes_of(kinds: str, columns: dict, tool: np.ndarray) -> Axes:
+    frames = dh.frames(kinds, columns)
+    return Axes(kinds, frames[:-1, :3, 2], frames[:-1, :3, 3], frames[-1] @ tool)
+
+
+def _spread_out(kinds: str, columns: dict) -> bool:
+    """Whether a table counts by lengths far beyond the arm's own, as common normals of axes that are parallel
+    but for rounding make it do: in float32 they would cancel to millimetres."""
+    if is_traced(columns):
+        return False
+    largest = max(np.abs(columns["a"]).max(), np.abs(columns["d"]).max())
+    return bool(largest > SPREAD * size_of(_axes_of(kinds, columns, np.eye(4))))
 
 
 def _warn_of_rounded_twists(arm: Arm, leaves: dict, up: int) -> None:

@@ -43,7 +43,7 @@ def rewritten(axes: Axes, tolerance: float) -> Rewritten:
         tolerance: [rad], and as a share of the arm's size.
     """
     n = len(axes.kinds)
-    size = _size(axes)
+    size = size_of(axes)
     table = _first(axes)
     exact = table
     given = _on_axis(table, axes.along[0], axes.points[0])
@@ -64,7 +64,7 @@ def rewritten(axes: Axes, tolerance: float) -> Rewritten:
     return Rewritten(columns, base, tool, np.stack(corrections))
 
 
-def _size(axes: Axes) -> float:
+def size_of(axes: Axes) -> float:
     """From point to nearest point of the next axis: a table may name points that are kilometres away."""
     ends = [np.zeros(3)]
     for along, point in zip(axes.along, axes.points, strict=True):

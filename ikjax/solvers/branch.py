@@ -68,6 +68,11 @@ class Setting(NamedTuple):
         """Of the goals' type: eps."""
         return self.tiny / TINY
 
+    def close_pairs(self, how: str) -> bool:
+        """Whether an equation that nearly splits has roots in pairs that rounding does not tell apart."""
+        wide = self.rounding > 1e-10
+        return how == "nearly" or (wide and how.startswith("nearly"))
+
     def root(self, x: Scalar) -> Scalar:
         """A square root, shared because rounding makes it uncertain near zero."""
         return safe.sqrt(x) if self.share is None else self.share(safe.sqrt(x))

@@ -226,9 +226,10 @@ def _pairs(equations: tuple[Equation, Equation], splits: str, joints, setting: S
         size = safe.reciprocal_sqrt(cosine * cosine + sine * sine)
         turn = setting.hold(sine * size), setting.hold(jnp.where(size == 0, 1, cosine * size))
         start, real, steps, largest = (root.sin, root.cos), root.real, 1, setting.rounding**0.25
-        if splits == "nearly":
-            turn, real = _side_of_close_pair(equations, start, rise, setting), True
-            steps, largest = 4, 0.3
+        if setting.close_pairs(splits):
+            turn = _side_of_close_pair(equations, start, rise, setting)
+            # What is left of a complex pair may be a real one that rounding hides, but only nearby.
+            steps, largest, real = 4, jnp.where(root.real, 0.3, 4 * largest), True
         first, second = _polished(equations, start, turn, real, setting, steps, largest)
         pairs.append(Pair(first, second, clearance(harmonics, found, root, length)))
     return pairs
@@ -241,8 +242,11 @@ def _separated(one: Equation, two: Equation) -> tuple[Equation, Equation]:
     weight = safe.reciprocal_sqrt(size_one * size_one + both * both)
     other = safe.reciprocal_sqrt(size_two * size_two + both * both)
     # (p, q) is along the ratio of the two, from the larger.
-    p = jnp.where(size_one >= size_two, size_one * weight, both * other)
-    q = jnp.where(size_one >= size_two, both * weight, size_two * other)
+    larger, smaller = (size_one * weight, both * weight), (both * other, size_two * other)
+    if isinstance(size_one, float) and isinstance(size_two, float):
+        p, q = larger if size_one >= size_two else smaller
+    else:
+        p, q = (jnp.where(size_one >= size_two, a, b) for a, b in zip(larger, smaller, strict=True))
     alone = Equation(*(v * p - u * q for u, v in zip(one, two, strict=True)))
     with_b = Equation(*(u * p + v * q for u, v in zip(one, two, strict=True)))
     return alone, with_b
@@ -260,14 +264,15 @@ def _side_of_close_pair(equations, first: SinCos, rise: int, setting: Setting) -
     slope = alone.a * sine - alone.b * cosine
     factor = with_b.c * alone.d - with_b.d * alone.c
     noise = 4 * setting.rounding**0.5
-    told = jnp.where(abs(value) > noise, safe.sign(value), rise * safe.sign(slope)) * safe.sign(-factor)
+    turned = jnp.where(factor > 0, -1, 1).astype(value.dtype)
+    told = jnp.where(abs(value) > noise, safe.sign(value), rise * safe.sign(slope)) * turned
     rest = with_b.e - with_b.a * cosine - with_b.b * sine
     root = cosine_sine(with_b.c, with_b.d, rest, told, noise=setting.noise, root=setting.root)
     return setting.hold(root.sin), setting.hold(root.cos)
 
 
 def _polished(
-    equations, first: SinCos, second: SinCos, real, setting: Setting, steps: int, largest: float
+    equations, first: SinCos, second: SinCos, real, setting: Setting, steps: int, largest: Scalar
 ) -> tuple[Angle, Angle]:
     """Newton steps on A and B in their own equations: the quartic squares them, and rounding with them.
 

@@ -71,7 +71,7 @@ def regional(
     chain = chain_of(links, point)
     eliminate = {"RR": _two_turns, "RP": _turn_slide, "PR": _slide_turn, "PP": _two_slides}
     ways = eliminate[chain.kinds[:2]](chain, wanted, how, setting)
-    nearly = how.startswith("nearly")
+    nearly = setting.close_pairs(how)
     return tuple(_polished(chain, point, wanted, way, nearly, setting) for way in ways)
 
 
@@ -87,8 +87,11 @@ def _polished(
         steps = _newton(chain.links, joints, point, wanted)
         size = functools.reduce(jnp.maximum, (abs(step) for step in steps))
         # A larger step is not the correction of a small error: it would lead to another branch.
-        small = size < (0.3 if nearly else setting.rounding**0.25)
-        if not nearly:
+        small = size < setting.rounding**0.25
+        if nearly:
+            # What is left of a complex pair may be a real one that rounding hides, but only nearby.
+            small = size < jnp.where(way.margin > 0, 0.3, 4 * setting.rounding**0.25)
+        else:
             small &= way.margin > -(setting.rounding**0.5)
         steps = tuple(setting.hold(jnp.where(small, step, 0)) for step in steps)
         moved_joints = map(moved_on, joints, steps)
@@ -144,15 +147,16 @@ def _two_turns(chain: Chain, wanted: Vector, how: str, setting: Setting):
         thirds = roots(chain, ahead, setting, safe.sqrt(span_squared))
     else:
         thirds = roots(chain, up, setting)
+    nearly = setting.close_pairs(how)
     for third in thirds:
         h1, h2, h3 = (setting.hold(p.at(third.u, third.v)) for p in chain.h)
         if how in ("", "nearly meet", "nearly parallel"):
             size = h1 * h1 + h2 * h2
             g1 = safe.divide(ahead.at(third.u, third.v), 2 * one.a)
             g2 = safe.divide(up.at(third.u, third.v), s)
-            if how == "nearly meet":
+            if nearly and how == "nearly meet":
                 g1 = _side(ahead, third, chain, one.a, setting) * safe.sqrt(size - g2 * g2)
-            if how == "nearly parallel":
+            if nearly and how == "nearly parallel":
                 g2 = _side(up, third, chain, s, setting) * safe.sqrt(size - g1 * g1)
             second, free = setting.between(1, (h1, h2), (g1, g2))
             seconds = [(second, jnp.inf, free)]
@@ -250,7 +254,7 @@ def _turn_slide(chain: Chain, wanted: Vector, how: str, setting: Setting):
 
         for third in second_degree(chain, square, setting, slope):
             g3 = safe.divide(z - s * g2.at(third.u, third.v), c)
-            if how == "nearly square":
+            if setting.close_pairs(how):
                 gap = around - ahead.at(third.u, third.v) ** 2
                 side = _side(g2.less(Poly(times(s, z))), third, chain, c, setting)
                 g3 = safe.divide(c * g2.at(third.u, third.v) - side * safe.sqrt(gap), s)
@@ -290,7 +294,7 @@ def _slide_turn(chain: Chain, wanted: Vector, how: str, setting: Setting):
             seconds = _turns(at[0], -at[1], g1, setting)
         else:
             other = g2.at(third.u, third.v)
-            if how == "nearly square":
+            if setting.close_pairs(how):
                 gap = at[0] * at[0] + at[1] * at[1] - g1 * g1
                 other = _side(across, third, chain, c, setting) * safe.sqrt(gap)
             second, free = setting.between(1, (at[0], at[1]), (g1, other))
