@@ -9,9 +9,11 @@ import json
 import math
 import re
 import sys
+import warnings
 from collections.abc import Mapping
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from ikjax.arm import structure
@@ -167,9 +169,15 @@ def to_arm(spec: dict) -> Arm:
     table = {name: spec[name] for name in (*_LEAVES, *_OPTIONAL)} | {"limits": limits}
     # Leaves that were rounded to float32 are judged as such: the family is the one that was stored.
     dtype = np.float32 if spec["dtype"] == "float32" else None
-    arm = Arm.from_dh(**table, kinds=spec["kinds"], name=spec["name"], convention="standard", dtype=dtype)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of twists that were rounded to a type
+        arm = Arm.from_dh(**table, kinds=spec["kinds"], name=spec["name"], convention="standard", dtype=dtype)
+    # The numbers as they were stored, whatever a table of such numbers would be recognised as.
+    stored: dict[str, Any] = {key: spec[key] for key in ("a", "alpha", "d", "theta", "correction")}
+    stored = {key: None if value is None else jnp.asarray(value, arm.dtype) for key, value in stored.items()}
     return dataclasses.replace(
         arm,
+        **stored,
         family=spec["family"],
         signs=tuple(spec["signs"]),
         branches=tuple(spec["branches"]),

@@ -9,7 +9,9 @@ import shutil
 import socket
 import subprocess
 import sys
+import warnings
 
+import jax
 import numpy as np
 import pytest
 import small
@@ -484,3 +486,15 @@ def test_default_chunks_are_about_a_second_of_work():
 def test_keys_beside_a_place_are_not_in_it(tmp_path):
     Place(tmp_path / "map.zarr.old").write("a", b"1")
     assert Place(tmp_path / "map.zarr").keys() == set()
+
+
+def test_an_arm_is_stored_as_it_is_and_read_in_silence():
+    """Also one whose rounded twist would be made exact if its table were built anew."""
+    table = {"a": [0.3, 0.2, 0.4], "alpha": [np.pi / 2, 0.7, 0.3], "d": [0.1, 0.2, 0.1], "kinds": "RPR"}
+    arm = ikjax.Arm.from_dh(**table, convention="standard").astype(np.float32)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        back = specs.to_arm(specs.of_arm(arm))
+    for one, other in zip(jax.tree.leaves(back), jax.tree.leaves(arm), strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert back.signs == arm.signs and back.correction is None
