@@ -125,7 +125,8 @@ def from_file(flip):
 
 
 @pytest.mark.parametrize("flip", ["3.14159265", pytest.param("3.14159", marks=pytest.mark.slow)])
-def test_a_file_with_rounded_half_turns_is_answered(flip, dtype):
+def test_a_file_with_rounded_half_turns_is_answered(flip, costly_dtype):
+    dtype = costly_dtype
     arm = from_file(flip)
     assert np.abs(np.asarray(arm.d)).max() < 2
     unanswered, missing = lost(arm, np.dtype(dtype).name)
@@ -133,7 +134,9 @@ def test_a_file_with_rounded_half_turns_is_answered(flip, dtype):
 
 
 @pytest.mark.parametrize("kinds", ["RPR", "PRR"])
-@pytest.mark.parametrize("off", [0.0, 3e-7, 1e-5, 1e-4])
+@pytest.mark.parametrize(
+    "off", [3e-7, *(pytest.param(off, marks=pytest.mark.long) for off in (0.0, 1e-5, 1e-4))]
+)
 def test_right_angles_of_few_digits_divide_by_no_zero(kinds, off, dtype):
     arm = ikjax.Arm.from_dh(
         a=[0.3, 0.2, 0.4],
