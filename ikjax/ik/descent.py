@@ -54,7 +54,7 @@ FLOOR = 1e-6
 Joints = tuple[Scalar, ...]
 Hold = Callable[[Scalar], Scalar]
 HoldLike = Callable[[jax.Array], Hold]
-"""`ik.graph.holder`"""
+"""`core.xla.pinned`"""
 
 
 class Wish(NamedTuple):
@@ -241,11 +241,11 @@ def descend(arm: Arm, wish: Wish, q: Joints, steps, hold: HoldLike, damping: Sca
     zero = jnp.zeros_like(q[0])
     damping = zero + FIRST_DAMPING if damping is None else damping
     if isinstance(steps, int) and steps == 0:
-        return State(q, standing(arm, wish, q, held_once(hold(q[0]))), damping)
+        return State(q, standing(arm, wish, q, hold(q[0])), damping)
     state = State(q, nowhere(arm, zero), damping * EASED)
 
     def again(_, state: State) -> State:
-        return step(arm, wish, state, held_once(hold(state.q[0])))
+        return step(arm, wish, state, hold(state.q[0]))
 
     return jax.lax.fori_loop(0, steps + 1, again, state)
 
@@ -290,20 +290,6 @@ def step(arm: Arm, wish: Wish, state: State, hold: Hold) -> State:
     better = hold(jnp.where(better, 1.0, 0.0).astype(at.cost.dtype)) > 0.5
     q, at = jax.tree.map(lambda new, old: jnp.where(better, new, old), (tried, there), (q, at))
     return State(q, at, jnp.where(better, damping / EASED, jnp.maximum(EASED * damping, 1e-3)))
-
-
-def held_once(hold: Hold) -> Hold:
-    """The same, but what it returned before, or a number that is known, is returned as it is."""
-    held: dict[int, jax.Array] = {}
-
-    def once(x: Scalar) -> Scalar:
-        if not isinstance(x, jax.Array) or id(x) in held:
-            return x
-        result = hold(x)
-        held[id(result)] = result
-        return result
-
-    return once
 
 
 def _square(slope) -> Scalar:

@@ -14,7 +14,7 @@ import numpy as np
 from ikjax.arm.arm import Arm
 from ikjax.core.known import as_array, is_traced, stop_gradient
 from ikjax.core.pose import Pose
-from ikjax.core.xla import holder
+from ikjax.core.xla import pinned
 from ikjax.ik import blocks, descent
 from ikjax.ik import priority as priorities
 from ikjax.ik.graph import Entries, entries_of
@@ -182,7 +182,7 @@ def closed(arm: Arm, entries: Entries, length) -> list[Found]:
 def asked(arm: Arm, entries: Entries):
     """The nearest pose in scalars, whether there is one, and what holds numbers of its shape."""
     goal, off = nearest_pose(entries, reach(arm))
-    near = descent.held_once(holder(entries[0][3]))
+    near = pinned(entries[0][3])
     return jax.tree.map(near, goal), off <= NEARLY_ROTATION, near
 
 
@@ -210,7 +210,7 @@ def from_starts(
 
 def _from_starts(arm: Arm, goal: Pose, proper, starts, length, steps, damping, priority: str, hold) -> Found:
     """Starts within the limits; what stands for the goal has their shape."""
-    state, flat, bottom = priorities.descend(arm, goal, length, priority, starts, steps, holder, damping)
+    state, flat, bottom = priorities.descend(arm, goal, length, priority, starts, steps, pinned, damping)
     flat = hold(flat)
     at, size = state.at, reach(arm)
     seen = descent.is_seen(arm, goal, at, length)

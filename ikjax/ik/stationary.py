@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from ikjax.arm.arm import Arm
 from ikjax.core.linear import solve_symmetric
 from ikjax.core.pose import Pose
-from ikjax.core.xla import holder
+from ikjax.core.xla import holder, pinned
 from ikjax.ik import descent
 from ikjax.ik.graph import entries_of
 from ikjax.ik.priority import SHARE, wish
@@ -50,7 +50,7 @@ def _columns(q) -> tuple[jax.Array, ...]:
 
 
 def _hold(columns):
-    return descent.held_once(holder(columns[0]))
+    return pinned(columns[0])
 
 
 def _nearest(arm: Arm, goals) -> tuple[Pose, jax.Array]:
