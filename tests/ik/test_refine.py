@@ -316,19 +316,21 @@ def test_converged_is_not_said_where_rounding_decides():
 
 
 def test_converged_is_not_said_where_kilometres_in_the_table_hide_the_arm():
-    """Axes 2 and 3 are parallel but for 1e-5 rad, and their offsets of 40 km make up for each other."""
-    arm = ikjax.Arm.from_dh(
+    """Axes 2 and 3 are parallel but for 1e-5 rad, and their offsets of 40 km make up for each other.
+
+    `from_dh` rewrites such a table; `replace` takes the numbers as they are.
+    """
+    built = ikjax.Arm.from_dh(
         a=[0, 0.3, 0.2, 0, 0, 0],
         alpha=[1.4, 1e-5, 1.2, -1.3, 1.1, 0],
-        d=[0.2, 4e4, -4e4, 0.3, 0.1, 0.1],
+        d=[0.2, 0.1, -0.1, 0.3, 0.1, 0.1],
         convention="standard",
     )
-    assert arm.family is None
+    assert built.family is None
     q = np.random.default_rng(2).uniform(-1, 1, (5, 6))
-    near = ikjax.refine(arm, ikjax.fk(arm, q), q + 0.3)
-    assert not near.converged.any()
-    plain = dataclasses.replace(arm, d=jnp.array([0.2, 0.1, -0.1, 0.3, 0.1, 0.1]))
-    assert ikjax.refine(plain, ikjax.fk(plain, q), q + 0.3).converged.all()
+    assert ikjax.refine(built, ikjax.fk(built, q), q + 0.3).converged.all()
+    hidden = dataclasses.replace(built, d=jnp.array([0.2, 4e4, -4e4, 0.3, 0.1, 0.1]))
+    assert not ikjax.refine(hidden, ikjax.fk(hidden, q), q + 0.3).converged.any()
 
 
 def test_a_start_outside_the_limits_takes_as_few_turns_as_will_do():
