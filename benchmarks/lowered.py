@@ -1,0 +1,116 @@
+"""Whether a change of names or files changed a program: hashes of what is handed to XLA.
+
+    python benchmarks/lowered.py --out before.json
+    python benchmarks/lowered.py --check before.json
+
+For three families in both types: `solve` (an eager block, and in a jit), `project`, a gradient, a step of a
+sweep and a step of a design. Nothing is compiled. Names of functions are numbered in the order in which they
+appear, so that a rename does not count.
+"""
+
+import argparse
+import hashlib
+import json
+import re
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from unittest import mock
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import ikjax
+from ikjax.study import climb
+
+ARMS = {"puma560": "a2", "ur5": "a2", "so101": "a2"}
+"""What a design of each varies."""
+
+
+class LoweredError(Exception):
+    """Carries the text of the program that was to be compiled."""
+
+
+def hash_of(text: str) -> str:
+    """Of a program whose functions are numbered."""
+    numbers: dict[str, str] = {}
+    text = re.sub(r"@[\w.]+", lambda name: numbers.setdefault(name[0], f"@{len(numbers)}"), text)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def first_compiled(call: Callable) -> str:
+    """The first program that a call lowers and compiles by itself."""
+
+    def stop(lowered, *_, **__):
+        raise LoweredError(lowered.as_text())
+
+    with mock.patch("jax.stages.Lowered.compile", stop):
+        try:
+            call()
+        except LoweredError as lowered:
+            return lowered.args[0]
+    raise RuntimeError("nothing was compiled")
+
+
+def design_step(arm: ikjax.Arm, goals: jax.Array, varied: str) -> str:
+    chunk = climb.chunk
+
+    def stop(*arguments):
+        raise LoweredError(chunk.lower(*arguments).as_text())
+
+    with mock.patch.object(climb, "chunk", stop):
+        try:
+            ikjax.design(arm, goals, {varied: (0.1, 0.6)}, starts=2, steps=2)
+        except LoweredError as lowered:
+            return lowered.args[0]
+    raise RuntimeError("design took no step")
+
+
+def programs(name: str, varied: str, dtype: str) -> dict[str, Callable[[], str]]:
+    arm = ikjax.robots.get(name).astype(dtype)
+    q = np.random.default_rng(0).uniform(-1, 1, (6, arm.n))
+    goals = ikjax.fk(arm, jnp.asarray(q, dtype))
+
+    def in_jit(f: Callable) -> Callable[[], str]:
+        return lambda: jax.jit(f).lower(goals).as_text()
+
+    return {
+        "solve, eager block": lambda: first_compiled(lambda: ikjax.solve(arm, goals)),
+        "solve in a jit": in_jit(lambda T: ikjax.solve(arm, T)),
+        "project, eager block": lambda: first_compiled(lambda: ikjax.project(arm, goals)),
+        "project in a jit": in_jit(lambda T: ikjax.project(arm, T)),
+        "gradient of solve": in_jit(jax.grad(lambda T: ikjax.solve(arm, T).q.sum())),
+        "gradient of project": in_jit(jax.grad(lambda T: ikjax.project(arm, T).q.sum())),
+        "sweep step": lambda: first_compiled(
+            lambda: ikjax.sweep(arm, ikjax.around(arm, 0.3), 64, dtype=dtype)
+        ),
+        "design step": lambda: design_step(arm, goals, varied),
+    }
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--check", type=Path, help="hashes that these must equal")
+    options = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    found = {
+        f"{name}, {dtype}: {what}": hash_of(text())
+        for name, varied in ARMS.items()
+        for dtype in ("float32", "float64")
+        for what, text in programs(name, varied, dtype).items()
+    }
+    if options.out:
+        options.out.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    if not options.check:
+        print(json.dumps(found, indent=1))
+        return 0
+    before = json.loads(options.check.read_text(encoding="utf-8"))
+    other = [what for what in sorted({*before, *found}) if before.get(what) != found.get(what)]
+    print("\n".join(f"changed: {what}" for what in other) or f"{len(found)} programs are the same")
+    return 1 if other else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
