@@ -18,8 +18,8 @@ import optax
 from scipy.optimize import differential_evolution
 
 import ikjax
-from ikjax.study import climb
-from ikjax.study.vary import chosen
+from ikjax.synthesis import ascent
+from ikjax.synthesis.vary import chosen
 
 EVALUATIONS, COST, FINISH = 1200, 6, 300
 """Of all goals; a gradient over a batch of them counts as its share of six."""
@@ -176,8 +176,8 @@ def plan_of(study: Study):
     """What `design` compiles, for a score of our own to be compiled of the same parts."""
     arm = study.arm.astype(study.goals.dtype)
     parameters = chosen(arm, study.vary, study.ties)
-    known = climb.Known(arm)
-    return climb.Plan(known, parameters, study.objective, (), study.optimiser, study.limits, None, 1)
+    known = ascent.Known(arm)
+    return ascent.Plan(known, parameters, study.objective, (), study.optimiser, study.limits, None, 1)
 
 
 def slope_error(study: Study, values: np.ndarray) -> float:

@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import ikjax
-from ikjax.study import climb
+from ikjax.synthesis import ascent
 
 ARMS = {"puma560": "a2", "ur5": "a2", "so101": "a2"}
 """What a design of each varies."""
@@ -54,12 +54,12 @@ def first_compiled(call: Callable) -> str:
 
 
 def design_step(arm: ikjax.Arm, goals: jax.Array, varied: str) -> str:
-    chunk = climb.chunk
+    chunk = ascent.chunk
 
     def stop(*arguments):
         raise LoweredError(chunk.lower(*arguments).as_text())
 
-    with mock.patch.object(climb, "chunk", stop):
+    with mock.patch.object(ascent, "chunk", stop):
         try:
             ikjax.design(arm, goals, {varied: (0.1, 0.6)}, starts=2, steps=2)
         except LoweredError as lowered:

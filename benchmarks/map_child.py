@@ -19,8 +19,8 @@ from pathlib import Path
 import jax
 
 import ikjax
-from ikjax.study import lock, store
-from ikjax.study.run import SweepStoppedError
+from ikjax.maps.runner import SweepStoppedError
+from ikjax.maps.store import lock, store
 
 ORIENTATIONS = 512
 

@@ -20,8 +20,8 @@ import numpy as np
 
 from ikjax.core import vector
 from ikjax.core.trig import atan2, sincos
-from ikjax.ik.blocks import wide_vectors
-from ikjax.study.orientations import rotations_of
+from ikjax.ik.batched import wide_vectors
+from ikjax.maps.sets.orientations import rotations_of
 
 BATCH = 500_000
 

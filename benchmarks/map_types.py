@@ -78,7 +78,7 @@ def clearance(arm: ikjax.Arm, reach: ikjax.ReachMap, cells: np.ndarray) -> np.nd
     goals[:, :3, :3] = reach.rotations[cells[:, 3]]
     goals[:, :3, 3] = reach.grid.points()[tuple(cells[:, :3].T)]
     sol = ikjax.solve(arm, goals)
-    size = float(ikjax.solvers.family.reach(arm))
+    size = float(ikjax.solvers.pipeline.reach(arm))
     folds = np.abs(np.asarray(sol.margin)) / size
     low, high = np.asarray(arm.limits, float).T
     bounds = np.stack([low, high], axis=-1)

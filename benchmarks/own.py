@@ -13,8 +13,8 @@ import numpy as np
 import ikjax
 from ikjax.core import cores
 from ikjax.core.pose import Pose
-from ikjax.ik.blocks import wide_vectors
-from ikjax.solvers.family import TOLERANCE, solve_scalars
+from ikjax.ik.batched import wide_vectors
+from ikjax.solvers.pipeline import TOLERANCE, solve_scalars
 
 BLOCK = 4096
 """Goals in a block of the kernel row, as in `ikjax.solve`."""
@@ -70,7 +70,7 @@ def kernel(batch: Batch, dtype: str, runs: int) -> Measured:
     def every_slot(numbers, one):
         def block(n):
             goal = Pose((n[0:3], n[4:7], n[8:11]), (n[3], n[7], n[11]))
-            # What many outputs share is divided by a one, so that XLA stores it; see ikjax.ik.graph.
+            # What many outputs share is divided by a one, so that XLA stores it; see ikjax.ik.inline.
             slots = solve_scalars(arm, goal, hold=lambda x: x / one)
             return jax.tree.map(lambda x: jnp.broadcast_to(x, BLOCK), [(s.q, s.valid) for s in slots])
 

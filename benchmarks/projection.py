@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 import ikjax
 from ikjax.core import cores
-from ikjax.ik.blocks import BLOCK, wide_vectors
+from ikjax.ik.batched import BLOCK, wide_vectors
 from ikjax.ik.refine import closed
 
 LENGTH = 0.1

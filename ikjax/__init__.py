@@ -11,24 +11,24 @@ from ikjax.ik.project import project
 from ikjax.ik.projection import Projection
 from ikjax.ik.quality import inverse_condition, limit_distance, manipulability, sigma_min
 from ikjax.ik.refine import refine
+from ikjax.ik.results import Solutions
 from ikjax.ik.select import nearest, within_limits
-from ikjax.ik.solutions import Solutions
 from ikjax.ik.solve import solve
 from ikjax.ik.track import Path, track
 from ikjax.ik.turns import Turns, turns
-from ikjax.study import objectives
-from ikjax.study.bases import place
-from ikjax.study.design import design
-from ikjax.study.designed import Designed
-from ikjax.study.goals import Grid, Shell, around, grid, shell
-from ikjax.study.hopf import Hopf, hopf
-from ikjax.study.measures import Measure
-from ikjax.study.near import Near
-from ikjax.study.orientations import Cone, cone, even_rotations
-from ikjax.study.placed import Bases
-from ikjax.study.reach import ReachMap
-from ikjax.study.surface import Surface, surface
-from ikjax.study.sweep import sweep
-from ikjax.study.verify import verify
+from ikjax.ik.verify import verify
+from ikjax.maps.custom import Near
+from ikjax.maps.kernel.measures import Measure
+from ikjax.maps.reach_map import ReachMap
+from ikjax.maps.sets.hopf import Hopf, hopf
+from ikjax.maps.sets.orientations import Cone, cone, even_rotations
+from ikjax.maps.sets.positions import Grid, Shell, around, grid, shell
+from ikjax.maps.sets.surface import Surface, surface
+from ikjax.maps.sweep import sweep
+from ikjax.synthesis import objectives
+from ikjax.synthesis.design import design
+from ikjax.synthesis.designed import Designed
+from ikjax.synthesis.place import place
+from ikjax.synthesis.placed import Bases
 
 __version__ = "0.1.0"

@@ -1,16 +1,15 @@
-"""The house of DESIGN.md, section 3: who may import whom."""
+"""The order of the rooms: who may import whom."""
 
 import ast
 import pathlib
 
 import ikjax
-from ikjax import solvers
-from ikjax.arm import structure
+from ikjax.arm.recognition import recognize
+from ikjax.solvers.families import FAMILIES
 
 HOUSE = pathlib.Path(ikjax.__file__).parent
-STOREYS = ["core", "arm", "solvers", "ik", "study"]
-TOP = ["plot", "cli"]
-# Above the storeys, `cli` at the very top: it may import everything, the front door too.
+ROOMS = ["core", "arm", "solvers", "ik", "maps", "synthesis", "plot", "cli"]
+"""From the ground up. `cli` stands above the front door: it may import everything."""
 
 
 def files():
@@ -32,16 +31,16 @@ def imports(path):
         yield from (name for name in names if name.split(".")[0] == "ikjax")
 
 
-def test_a_file_imports_its_own_storey_and_the_ones_below():
+def test_a_file_imports_its_own_room_and_those_below():
     inner = [path for path in files() if path.parent != HOUSE]
     assert len(inner) > 20
     for path in inner:
         room = path.relative_to(HOUSE).parts[0]
         if room == "cli":
             continue
-        below = (STOREYS + TOP)[: (STOREYS + TOP).index(room) + 1]
+        below = ROOMS[: ROOMS.index(room) + 1]
         for name in imports(path):
-            # `cli` and whatever only the front door offers are in no storey.
+            # `cli` and whatever only the front door offers are in no room.
             assert name.partition("ikjax.")[2].split(".")[0] in below, f"{path}: {name}"
 
 
@@ -54,11 +53,11 @@ def test_the_front_door_is_sorted_and_has_no_logic():
     assert isinstance(version, ast.Assign) and version.targets[0].id == "__version__"
     assert all(isinstance(line, ast.ImportFrom) for line in lines)
     assert [line.module for line in lines] == sorted(line.module for line in lines)
-    assert not {name.split(".")[1] for name in imports(HOUSE / "__init__.py")} & set(TOP)
+    assert not {name.split(".")[1] for name in imports(HOUSE / "__init__.py")} & {"plot", "cli"}
 
 
 def test_recognition_and_kernels_list_the_same_families_in_one_order():
-    assert list(structure.RULES) == list(solvers.FAMILIES)
+    assert list(recognize.RULES) == list(FAMILIES)
 
 
 def test_the_library_never_sets_x64():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import ikjax
-from ikjax.ik.starts import ranges, scattered
+from ikjax.ik.multistart import ranges, scattered
 
 TURN = 2 * np.pi
 LOWER, UPPER = [-1.2, -2.0, -0.15, -1.5], [1.6, 1.4, 0.0, 2.0]

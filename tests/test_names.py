@@ -11,10 +11,12 @@ import pytest
 
 import ikjax
 from ikjax import cli
-from ikjax.study import compare, log, recipe
-from ikjax.study.designed import Designed
-from ikjax.study.goals import Grid
-from ikjax.study.placed import Bases
+from ikjax.cli import study_file
+from ikjax.maps import compare
+from ikjax.maps.sets.positions import Grid
+from ikjax.maps.store import log
+from ikjax.synthesis.designed import Designed
+from ikjax.synthesis.placed import Bases
 
 NAME = (
     "</title><script>alert(1)</script><img src=q> ![x](/etc/hostname) [y](javascript:z) http://a.bc `|` {1+1}"
@@ -74,14 +76,14 @@ def test_a_terminal(reach, tmp_path, capsys, monkeypatch):
     reach.save(tmp_path / "map.zarr")
     assert cli.main(["show", str(tmp_path / "map.zarr"), "--json"]) in (0, 1)
     assert json.loads(capsys.readouterr().out)["arm"] == ARM.name
-    monkeypatch.setattr(recipe, "find_arm", lambda name, **options: ARM)
+    monkeypatch.setattr(study_file, "find_arm", lambda name, **options: ARM)
     assert cli.main(["info", "x"]) == 0
     is_one_line_of(ARM.name, capsys.readouterr().out)
 
 
 @pytest.mark.slow
 def test_a_table_in_markdown(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(recipe, "find_arm", lambda name, **options: ARM)
+    monkeypatch.setattr(study_file, "find_arm", lambda name, **options: ARM)
     table = tmp_path / "table.md"
     assert cli.main(["verify", "x", "-n", "10", "--out", str(table)]) == 0
     is_one_line_of(ARM.name, capsys.readouterr().out)
@@ -97,15 +99,15 @@ def test_a_stored_map_comes_back_under_its_name_and_differences_are_lines(reach,
     is_one_line_of(ARM.name, back.summary())
     text = compare.in_words(compare.compare(reach, back), "the first")
     assert "\x1b" not in text
-    from ikjax.study import spec
+    from ikjax.maps.store import manifest
 
-    assert all(line.isprintable() for line in spec.differences({NAME: 1, "a": {NAME: 2}}, {"a": {}}))
+    assert all(line.isprintable() for line in manifest.differences({NAME: 1, "a": {NAME: 2}}, {"a": {}}))
 
 
 @pytest.mark.parametrize("change", [{"rolls": "1); evil("}, {"dtype": "evil"}, {"statistics": "../evil"}])
 def test_a_map_whose_spec_would_be_a_path_or_a_program_is_refused(reach, tmp_path, change):
     pytest.importorskip("tensorstore")
-    from ikjax.study import layout
+    from ikjax.maps.store import layout
 
     reach.save(tmp_path / "map.zarr")
     file = tmp_path / "map.zarr" / "zarr.json"

@@ -1,6 +1,6 @@
 """The arm: DH numbers as differentiable leaves, and the few facts that are fixed when it is built.
 
-Storey: arm.
+
 Source of the conventions: standard DH after Spong, Robot Modeling and Control, section 3.2;
 modified DH after Craig, Introduction to Robotics, 3rd ed., section 3.4.
 """
@@ -13,9 +13,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ikjax.arm import dh, freedom, structure, table
-from ikjax.arm.axes import Axes, Rewritten, rewritten, size_of
-from ikjax.arm.rules import RULES
+from ikjax.arm import dh, printing
+from ikjax.arm.axes_to_dh import Axes, Rewritten, rewritten, size_of
+from ikjax.arm.recognition import free_parameters, recognize
+from ikjax.arm.recognition.rules import RULES
 from ikjax.core import pose as poses
 from ikjax.core import text
 from ikjax.core.known import as_array, constants, is_traced
@@ -183,7 +184,7 @@ class Arm:
             ArmFileError: A file that is not sound, or holds what is no serial arm of turning and
                 sliding joints: with its line and the element.
         """
-        from ikjax.arm.urdf import axes_of, read_chain
+        from ikjax.arm.urdf.reader import axes_of, read_chain
 
         chain = read_chain(source, base, tip)
         given, driven, ranges = axes_of(chain)
@@ -223,9 +224,9 @@ class Arm:
     def free(self) -> tuple[str, ...]:
         """Numbers of the table that may move a little and the family stays: "a2", "d4", ...
 
-        Base and tool always may. Found by moving each; see `arm.freedom`.
+        Base and tool always may. Found by moving each; see `arm.recognition.free_parameters`.
         """
-        return freedom.free(self)
+        return free_parameters.free(self)
 
     def astype(self, dtype) -> "Arm":
         """The same arm with leaves of another floating type.
@@ -302,7 +303,7 @@ class Arm:
         return jax.tree.unflatten(treedef, leaves)
 
     def __str__(self) -> str:
-        return table.paste(self)
+        return printing.paste(self)
 
     def __repr__(self) -> str:
         return f"<Arm {self.name}: {self.kinds}, family {self.family}>"
@@ -312,10 +313,10 @@ def _built(
     kinds: str, leaves: dict, family: str | None, up: int, name: str, dtype, closed_form: bool = True
 ) -> Arm:
     """The arm of finished leaves, its family recognised where it may have one."""
-    verdict = structure.recognise(kinds, leaves, family, up) if closed_form else structure.NONE
-    split = structure.split_exactly(kinds, leaves, verdict)
+    verdict = recognize.recognise(kinds, leaves, family, up) if closed_form else recognize.NONE
+    split = recognize.split_exactly(kinds, leaves, verdict)
     if split is not leaves:
-        leaves, verdict = split, structure.recognise(kinds, split, family, up)
+        leaves, verdict = split, recognize.recognise(kinds, split, family, up)
     dtype = jnp.result_type(float) if dtype is None else dtype
     arrays: dict[str, Any] = {
         key: None if value is None else jnp.asarray(value, dtype) for key, value in leaves.items()
@@ -351,7 +352,7 @@ def _warn_of_rounded_twists(arm: Arm, leaves: dict, up: int) -> None:
         return  # `solve` refuses it, and says the same
     rank = list(RULES).index
     for each in LADDER[:1]:
-        near = structure.recognise(arm.kinds, leaves, None, up, each).family
+        near = recognize.recognise(arm.kinds, leaves, None, up, each).family
         if near is not None and rank(near) < rank(arm.family):
             warn(
                 f"{arm.name} is taken as {arm.family}; but for rounded numbers it is {near}, which is "
@@ -370,12 +371,12 @@ def _nearest(given: Axes, leaves: dict, tolerance: float | None, family, up: int
     ladder = LADDER if tolerance is None else (tolerance,)
     best: tuple[int, Rewritten] | None = None
     none = len(RULES)
-    for each in (structure.TOLERANCE, *(max(rung, structure.TOLERANCE) for rung in ladder)):
+    for each in (recognize.TOLERANCE, *(max(rung, recognize.TOLERANCE) for rung in ladder)):
         if each > ladder[0] and best is not None and best[0] < none:
             break
         table = rewritten(given, each)
         numbers = {**table.columns, "tool": table.tool}
-        found = structure.recognise(given.kinds, numbers, None, up).family
+        found = recognize.recognise(given.kinds, numbers, None, up).family
         # Axes that are made parallel for the size of the numbers may be off by more than was asked for.
         within = _largest(table.correction, numbers) <= 4 * each
         rank = (
@@ -385,7 +386,7 @@ def _nearest(given: Axes, leaves: dict, tolerance: float | None, family, up: int
             best = rank, table
     assert best is not None
     table = best[1]
-    small = np.abs(table.correction).max() <= structure.TOLERANCE
+    small = np.abs(table.correction).max() <= recognize.TOLERANCE
     leaves = {
         **leaves,
         **table.columns,

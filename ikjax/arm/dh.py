@@ -1,6 +1,6 @@
 """DH tables: what is accepted, and modified DH rewritten as standard DH with a base.
 
-Storey: arm.
+
 Source: Craig, Introduction to Robotics, 3rd ed., equation (3.6); Spong, Robot Modeling and
 Control, equation (3.10).
 """

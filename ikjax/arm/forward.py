@@ -1,6 +1,6 @@
 """Forward kinematics: where every link and the tool stand.
 
-Storey: arm.
+
 Source: Spong, Robot Modeling and Control, equation (3.10).
 """
 
@@ -198,7 +198,7 @@ class Chain(NamedTuple):
 
 
 def chain(arm: Arm, q: tuple[Scalar, ...], hold: Callable[[Scalar], Scalar] = lambda x: x) -> Chain:
-    """Every frame at joint values q; each is held, see `ik.graph`."""
+    """Every frame at joint values q; each is held, see `ik.inline`."""
     frame, off = fixed_pose(arm.base), corrections(arm)
     frame = frame if off is None else poses.compose(frame, off[0])
     before, ends = [], []

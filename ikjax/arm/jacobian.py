@@ -1,6 +1,6 @@
 """The geometric Jacobian.
 
-Storey: arm.
+
 Source: Spong, Robot Modeling and Control, equations (4.56)-(4.57).
 """
 

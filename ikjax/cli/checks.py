@@ -12,15 +12,15 @@ import jax
 import numpy as np
 
 import ikjax
+from ikjax.cli import study_file
 from ikjax.cli.say import file_options, say
 from ikjax.core.text import markdown
-from ikjax.study import recipe
 
 
 def run_verify(options) -> int:
     dtype = np.float32 if options.other_dtype else np.float64
     reports = [
-        ikjax.verify(recipe.find_arm(name, **file_options(options)), options.count, dtype=dtype)
+        ikjax.verify(study_file.find_arm(name, **file_options(options)), options.count, dtype=dtype)
         for name in options.arm or ikjax.robots.names()
     ]
     head = ("arm", "family", "type", "goals", "success", "wrong", "none", "missing", "singular", "worst")

@@ -6,8 +6,8 @@ Outside the storeys.
 import numpy as np
 
 import ikjax
+from ikjax.cli import study_file
 from ikjax.cli.say import file_options, in_flags, say
-from ikjax.study import recipe
 
 
 def run_info(options) -> int:
@@ -17,7 +17,7 @@ def run_info(options) -> int:
         catalogue = {arm.name: {"kinds": arm.kinds, "family": arm.family} for arm in arms}
         say(options, "\n".join(lines), catalogue)
         return 0
-    arm = recipe.find_arm(options.arm, **file_options(options))
+    arm = study_file.find_arm(options.arm, **file_options(options))
     table = {key: np.asarray(getattr(arm, key)).tolist() for key in ("a", "alpha", "d", "theta")}
     limits = [[x if np.isfinite(x) else None for x in pair] for pair in np.asarray(arm.limits).tolist()]
     data = {"name": arm.name, "kinds": arm.kinds, "family": arm.family, "branches": arm.branches}
@@ -40,7 +40,7 @@ def _row(values) -> str:
 
 def run_solve(options) -> int:
     dtype = np.float32 if options.other_dtype else np.float64
-    arm = recipe.find_arm(options.arm, **file_options(options))
+    arm = study_file.find_arm(options.arm, **file_options(options))
     turn = {form: getattr(options, form) for form in ("rpy", "wxyz", "xyzw", "rotvec")}
     goal = ikjax.pose(options.xyz, **turn, dtype=dtype)
     ikjax.check_goals(arm, goal)

@@ -10,32 +10,32 @@ import sys
 import jax
 
 import ikjax
+from ikjax.cli import study_file
 from ikjax.cli.say import FILE_OPTIONS, complain, file_options
 from ikjax.cli.show import check_places, report
+from ikjax.cli.stop import OTHERS_ENDED, Stop
 from ikjax.core.text import line
-from ikjax.study import recipe
-from ikjax.study.orientations import as_orientations
-from ikjax.study.place import StorageError
-from ikjax.study.stop import OTHERS_ENDED, Stop
-from ikjax.study.sweep import SweepStoppedError
+from ikjax.maps.sets.orientations import as_orientations
+from ikjax.maps.store.storage import StorageError
+from ikjax.maps.sweep import SweepStoppedError
 
 
-def _study(options) -> recipe.Recipe:
+def _study(options) -> study_file.Recipe:
     """What is asked for, by a file or by options."""
     if options.arm.endswith(".toml"):
         for name in ("spacing", "orientations", "other_dtype", "certify", *FILE_OPTIONS):
             if getattr(options, name):
                 flag = "float64" if name == "other_dtype" else name
                 raise ValueError(f"--{flag} is for {options.arm} to say")
-        return recipe.read(options.arm)
+        return study_file.read(options.arm)
     if options.certify and options.other_dtype:
         raise ValueError("--certify is for float32 sweeps; --float64 needs none")
-    arm = recipe.find_arm(options.arm, **file_options(options))
+    arm = study_file.find_arm(options.arm, **file_options(options))
     orientations = 512 if options.orientations is None else options.orientations
     positions = ikjax.around(arm, options.spacing or 0.05)
     dtype = "float64" if options.other_dtype else "float32"
-    kept = recipe.STATISTICS, None, dtype, options.certify
-    return recipe.Recipe(arm, positions, orientations, 1, *kept)
+    kept = study_file.STATISTICS, None, dtype, options.certify
+    return study_file.Recipe(arm, positions, orientations, 1, *kept)
 
 
 def _join(options) -> None:

@@ -10,8 +10,8 @@ from typing import Any
 
 import ikjax
 from ikjax.cli.say import complain, say
-from ikjax.study import compare
-from ikjax.study.place import Place
+from ikjax.maps import compare
+from ikjax.maps.store.storage import Place
 
 
 def run_show(options) -> int:

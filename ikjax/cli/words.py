@@ -12,8 +12,8 @@ from ikjax.cli.checks import run_doctor, run_verify
 from ikjax.cli.info import run_info, run_solve
 from ikjax.cli.maps import run_sweep
 from ikjax.cli.show import run_show
+from ikjax.cli.stop import OTHERS_ENDED, TIME_IS_UP
 from ikjax.core.text import one_line
-from ikjax.study.stop import OTHERS_ENDED, TIME_IS_UP
 
 ARM = "an arm of the catalogue, or a URDF file"
 

@@ -1,6 +1,6 @@
 """How many cores this process may use, which is often fewer than the machine has.
 
-Storey: core.
+
 Source: Linux, Documentation/admin-guide/cgroup-v2.rst, "cpu.max"; scheduler/sched-bwc.rst for version 1.
 """
 

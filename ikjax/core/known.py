@@ -1,6 +1,6 @@
 """What is known while a program is traced stays known.
 
-Storey: core. Inside a jit every `jnp` call returns a tracer, also of numbers that are concrete: `asarray`,
+Inside a jit every `jnp` call returns a tracer, also of numbers that are concrete: `asarray`,
 `astype`, indexing, `stop_gradient`. A kernel that is handed such a number can no longer fold it in, and
 is many times slower. Numbers that may be known pass through these functions instead.
 """

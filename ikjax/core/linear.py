@@ -1,6 +1,6 @@
 """Small dense systems, unrolled.
 
-Storey: core. Every entry may be an array of any batch shape.
+Every entry may be an array of any batch shape.
 Source: the square-root-free Cholesky factorisation; Golub and Van Loan, Matrix Computations, section 4.1.
 """
 
@@ -26,7 +26,7 @@ def solve_symmetric(
     Args:
         matrix: n rows of n entries, of which the lower triangle is looked at.
         right: n entries.
-        hold: Called on each entry of the factors and of x; see `ik.graph`.
+        hold: Called on each entry of the factors and of x; see `ik.inline`.
         floor: Pivots are taken without their signs and no smaller than this, which makes any symmetric
             matrix a positive definite one, and leaves those alone that were.
         push: With `floor`: along each way on which the form falls, by a pivot below -10 floors, x goes so far

@@ -1,6 +1,6 @@
 """Rigid poses: in scalars inside kernels, as (..., 4, 4) arrays at the door.
 
-Storey: core. `T_a_b` maps coordinates in frame b to coordinates in frame a, so that neighbours
+`T_a_b` maps coordinates in frame b to coordinates in frame a, so that neighbours
 cancel when read: T_base_tool = T_base_elbow @ T_elbow_tool.
 Source of the angle conventions: Craig, Introduction to Robotics, 3rd ed., section 2.8.
 """
@@ -163,7 +163,7 @@ class Turn(NamedTuple):
 def turn_of(m: Matrix, hold: Callable[[Scalar], Scalar] = lambda x: x) -> Turn:
     """The rotation as a vector, right to rounding at every angle; its slopes have their limits at zero.
 
-    `hold` is called on what many outputs share; see `ik.graph`.
+    `hold` is called on what many outputs share; see `ik.inline`.
 
     Source: the logarithm of a rotation; Sola et al., A micro Lie theory (2018), (144)-(145).
     """

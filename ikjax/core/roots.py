@@ -1,7 +1,4 @@
-"""Real roots of the equations that closed forms come down to.
-
-Storey: core.
-"""
+"""Real roots of the equations that closed forms come down to."""
 
 from collections.abc import Callable
 from typing import NamedTuple

@@ -1,6 +1,6 @@
 """Square roots, lengths and quotients with a finite value and a finite slope at every edge.
 
-Storey: core. Everything above handles its edges by calling these. A Python number, known while
+Everything above handles its edges by calling these. A Python number, known while
 tracing, stays one: as an array it would carry its own type into a kernel of another.
 """
 

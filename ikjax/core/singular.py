@@ -1,6 +1,6 @@
 """Singular values of small matrices, many at a time, and their slopes: finite where there is none too.
 
-Storey: core. Every entry may be an array of any batch shape. Columns are turned in pairs until all are square
+Every entry may be an array of any batch shape. Columns are turned in pairs until all are square
 to each other; their lengths are then the singular values, a value of zero right to rounding and not to its
 root, as the eigenvalues of a Gram matrix would have it.
 

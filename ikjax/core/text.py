@@ -1,6 +1,6 @@
 """Text that came from elsewhere, escaped for the medium it is shown in: one function for each.
 
-Storey: core. Names of arms, branches and statistics come out of files that anyone may have written. They are
+Names of arms, branches and statistics come out of files that anyone may have written. They are
 text wherever they are shown: nothing in them steers a terminal, forges a line, or is markup or a formula.
 """
 

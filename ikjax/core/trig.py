@@ -1,6 +1,6 @@
 """Sine with cosine, atan2 and wrapping as plain polynomials, so that they vectorise.
 
-Storey: core. One code path for every device; float32 and float64.
+One code path for every device; float32 and float64.
 `jnp.sin`, `jnp.cos` and `jnp.arctan2` are one library call for each number on a CPU, which no
 kernel can afford; these are a handful of fused multiply-adds each, and never look at tables.
 

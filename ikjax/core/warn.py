@@ -1,6 +1,6 @@
 """Warnings at the caller's line: of arguments that are probably in degrees or millimetres.
 
-Storey: core. Host side: values that are traced are not looked at.
+Host side: values that are traced are not looked at.
 """
 
 import math

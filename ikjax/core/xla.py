@@ -1,6 +1,6 @@
 """What the compiler needs to be told: values that it must not compute twice.
 
-Storey: core. XLA on a CPU computes a sum or a product again for every array that needs it: cheap where
+XLA on a CPU computes a sum or a product again for every array that needs it: cheap where
 little is shared, and many times slower where a long chain is. A pinned value is computed once and kept.
 """
 

@@ -1,19 +1,19 @@
 """What a person asks before and after solving: is this a goal, and how is this arm solved?
 
-Storey: ik. Host side: both look at values.
+Host side: both look at values.
 """
 
 import jax
 import numpy as np
 
-from ikjax.arm import structure
 from ikjax.arm.arm import Arm
+from ikjax.arm.recognition import recognize
 from ikjax.core.pose import NEAREST_WITHIN
 from ikjax.core.warn import warn
 from ikjax.ik.refusal import refusal, what_was_found
 from ikjax.ik.solve import as_goals
-from ikjax.solvers import FAMILIES
-from ikjax.solvers.family import ROTATION_TOLERANCE, TOLERANCE, as_solved, reach
+from ikjax.solvers.families import FAMILIES
+from ikjax.solvers.pipeline import ROTATION_TOLERANCE, TOLERANCE, as_solved, reach
 
 FAR = 10
 """Goals beyond so many reaches are taken for millimetres: one within reach is, in millimetres, a hundred
@@ -95,10 +95,10 @@ def explain(arm: Arm) -> str:
     """Which closed form solves the arm, why, and what its branches are, as text to print."""
     if arm.family is None:
         return f"{refusal(arm)}.\n{what_was_found(arm)}\n{_SCATTERED}"
-    rule = structure.RULES[arm.family]
+    rule = recognize.RULES[arm.family]
     lines = [f"{arm.name} is solved by {arm.family}: {rule.summary}.", "Because:"]
     numbers = {key: np.asarray(getattr(arm, key)) for key in ("a", "alpha", "d", "theta", "tool")}
-    checks = structure.evidence(arm.kinds, numbers, arm.family, structure.tolerance_of(arm.dtype))
+    checks = recognize.evidence(arm.kinds, numbers, arm.family, recognize.tolerance_of(arm.dtype))
     for check in checks:
         mark = "yes" if check.holds else "NO"
         lines.append(f"  {mark:3} {check.fact}: {check.deviation:.2g}")

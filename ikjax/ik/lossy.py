@@ -1,7 +1,4 @@
-"""Downhill on a loss of the caller's own, by an optax optimiser.
-
-Storey: ik.
-"""
+"""Downhill on a loss of the caller's own, by an optax optimiser."""
 
 import jax
 import jax.numpy as jnp
@@ -10,10 +7,10 @@ import optax
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import fk
 from ikjax.core.pose import pose_error, to_matrix
-from ikjax.ik import descent
-from ikjax.ik.graph import entries_of
+from ikjax.ik import newton
+from ikjax.ik.inline import entries_of
 from ikjax.ik.projection import Projection
-from ikjax.solvers.family import NEARLY_ROTATION, nearest_pose, reach
+from ikjax.solvers.pipeline import NEARLY_ROTATION, nearest_pose, reach
 
 
 def minimised(arm: Arm, goals: jax.Array, starts: jax.Array, loss, optimizer, steps: int) -> Projection:
@@ -22,7 +19,7 @@ def minimised(arm: Arm, goals: jax.Array, starts: jax.Array, loss, optimizer, st
     The loss is handed the pose nearest to each goal, or the goal as it is where there is none.
     """
     optimizer = optax.adam(0.02) if optimizer is None else optimizer
-    columns = descent.into_limits(arm, tuple(starts[..., i] for i in range(arm.n)))
+    columns = newton.into_limits(arm, tuple(starts[..., i] for i in range(arm.n)))
     starts, size = jnp.stack(columns, axis=-1), jnp.asarray(reach(arm), goals.dtype)
     low, high = arm.limits[:, 0], arm.limits[:, 1]
 
@@ -58,5 +55,5 @@ def minimised(arm: Arm, goals: jax.Array, starts: jax.Array, loss, optimizer, st
     proper = proper[..., None]
     errors = pose_error(fk(arm, q), goals[..., None, :, :])
     gap, angle = (jnp.where(proper, x, jnp.nan) for x in errors)
-    down = proper & jnp.isfinite(value) & (steep <= descent.CONVERGED[q.dtype.name])
+    down = proper & jnp.isfinite(value) & (steep <= newton.CONVERGED[q.dtype.name])
     return Projection(q, value, gap, angle, steep, down)

@@ -1,6 +1,6 @@
 """Margins that can be climbed: smoothly over branches and goals, and with the joint limits in them.
 
-Storey: ik. A margin says how far a branch is from its end, also from outside, where no joints exist; so it
+A margin says how far a branch is from its end, also from outside, where no joints exist; so it
 shows the way in. The maximum over branches and the minimum over goals have a slope for one entry alone,
 which jumps from one to another; the smooth ones share it out among entries that differ by less than a `blur`.
 """
@@ -12,9 +12,9 @@ import jax.numpy as jnp
 
 from ikjax.arm.arm import Arm
 from ikjax.ik.quality import limit_distance
+from ikjax.ik.results import Solutions
 from ikjax.ik.select import within_limits
-from ikjax.ik.solutions import Solutions
-from ikjax.solvers.family import reach
+from ikjax.solvers.pipeline import reach
 
 
 def smooth_max(x, blur=0.0, *, axis: int = -1, where=None, empty: float = 0.0) -> jax.Array:

@@ -1,6 +1,6 @@
 """`project`: the attainable pose nearest to any goal.
 
-Storey: ik. The closed form finds the basins, Newton's steps go to their bottoms.
+The closed form finds the basins, Newton's steps go to their bottoms.
 """
 
 import jax
@@ -9,11 +9,11 @@ import numpy as np
 
 from ikjax.arm.arm import Arm
 from ikjax.core.known import as_array, stop_gradient
-from ikjax.ik import priority as priorities
+from ikjax.ik import lexicographic as priorities
+from ikjax.ik.multistart import at_limits, scattered
 from ikjax.ik.projection import Projection
 from ikjax.ik.refine import STEPS, best_of, checked, descended
-from ikjax.ik.starts import at_limits, scattered
-from ikjax.solvers import FAMILIES
+from ikjax.solvers.families import FAMILIES
 
 SCATTERED, BESIDE = 64, 28
 """Starts for an arm without a closed form or with one error first, and beside the branches of another."""
@@ -35,9 +35,9 @@ def project(
     that allows (the nearest reachable point where it is out of reach), for all other families the branches of
     `solve`, clamped. Limits, and joints too few, make basins that no branch leads to: starts beside them are
     for family `five_axis` those with joint 2 or 4 at a limit, and with joint 5 beyond the gap in its range
-    (`ik.starts`); else they are spread over the limits, always the same. An arm without a family starts from
-    64 such. Each start ends where no small move improves it; that the best is the nearest of all poses is not
-    proved, and within tight limits it is not always (`benchmarks/projection.py` compares).
+    (`ik.multistart`); else they are spread over the limits, always the same. An arm of no family starts
+    from 64 such. Each start ends where no small move improves it; that the best is the nearest of all poses is
+    not proved, and within tight limits it is not always (`benchmarks/projection.py` compares).
 
     Args:
         arm: Any arm of up to seven joints.

@@ -1,7 +1,4 @@
-"""What `project` and `refine` return: the nearest pose found, and how near.
-
-Storey: ik.
-"""
+"""What `project` and `refine` return: the nearest pose found, and how near."""
 
 import dataclasses
 

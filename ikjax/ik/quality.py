@@ -1,6 +1,6 @@
 """How well an arm moves where it stands: per branch with `sol.q`, differentiable in joints and arm.
 
-Storey: ik. All but `limit_distance` are read off the singular values of the Jacobian in the rows that the
+All but `limit_distance` are read off the singular values of the Jacobian in the rows that the
 arm's task asks for. Metres and radians are made comparable as everywhere in this library: a length counts as
 its share of the reach, of the tool's motion and of a slide's alike. So the values have no unit and do not
 change when an arm is scaled; `length` puts another number of metres in the place of the reach.
@@ -17,7 +17,7 @@ import math
 import jax
 import jax.numpy as jnp
 
-from ikjax.arm import rates
+from ikjax.arm import twists
 from ikjax.arm.arm import Arm, numbers
 from ikjax.arm.forward import chain, check_joints, fixed_pose, whole_turns
 from ikjax.core import pose as poses
@@ -25,8 +25,8 @@ from ikjax.core import safe
 from ikjax.core.singular import singular_values, volume
 from ikjax.core.trig import wrap
 from ikjax.core.xla import opaque_one
-from ikjax.ik.graph import jit_with_arm
-from ikjax.solvers.family import reach
+from ikjax.ik.inline import jit_with_arm
+from ikjax.solvers.pipeline import reach
 
 
 def manipulability(arm: Arm, q, *, length=None) -> jax.Array:
@@ -123,9 +123,9 @@ def _columns(arm: Arm, q: jax.Array, length) -> list[tuple[jax.Array, ...]]:
     found = chain(arm, tuple(q[..., i] for i in range(arm.n)), hold)
     tip = poses.compose(found.last, fixed_pose(arm.tool)).position
     length = reach(arm) if length is None else length
-    rows = rates.asked(arm, found, safe.divide(1, length))
+    rows = twists.asked(arm, found, safe.divide(1, length))
     units = [length if kind == "P" else 1.0 for kind in arm.kinds]
-    motions = zip(units, rates.of_motors(arm, found, tip), strict=True)
+    motions = zip(units, twists.of_motors(arm, found, tip), strict=True)
     columns = [tuple(x * one for x in rows(motion.times(unit))) for unit, motion in motions]
     few = len(columns) <= len(columns[0])
     return columns if few else list(zip(*columns, strict=True))

@@ -1,6 +1,6 @@
 """`refine`: from given joints down to the nearest attainable pose.
 
-Storey: ik. The default descends by damped Newton steps (`ik.descent`); any other loss by an optax optimiser.
+The default descends by damped Newton steps (`ik.newton`); any other loss by an optax optimiser.
 Called eagerly, all starts take a few steps, and those that are not down yet take more in turns.
 """
 
@@ -15,14 +15,14 @@ from ikjax.arm.arm import Arm
 from ikjax.core.known import as_array, is_traced, stop_gradient
 from ikjax.core.pose import Pose
 from ikjax.core.xla import pinned
-from ikjax.ik import blocks, descent
-from ikjax.ik import priority as priorities
-from ikjax.ik.graph import Entries, entries_of
+from ikjax.ik import batched, newton
+from ikjax.ik import lexicographic as priorities
+from ikjax.ik.inline import Entries, entries_of
 from ikjax.ik.lossy import minimised
+from ikjax.ik.project_gradient import with_slopes
 from ikjax.ik.projection import Projection
 from ikjax.ik.solve import as_goals
-from ikjax.ik.stationary import with_slopes
-from ikjax.solvers.family import NEARLY_ROTATION, nearest_pose, proposed, reach
+from ikjax.solvers.pipeline import NEARLY_ROTATION, nearest_pose, proposed, reach
 
 STEPS = 60
 FIRST = 6
@@ -56,7 +56,7 @@ def refine(
         length: What a radian is worth [m]; positive. A short one holds the point and a long one the
             orientation, each to about its square over a square length of the arm.
         priority: "weighted" is that sum. "position": of the poses with the least distance, that of the least
-            angle; "orientation" the reverse (`ik.priority`), in stages of `steps`. Of the starts, those
+            angle; "orientation" the reverse (`ik.lexicographic`), in stages of `steps`. Of the starts, those
             whose first error is the least to 1e-7 (float32: 1e-4) reaches or rad count as equal, and the
             second decides.
         steps: At most so many.
@@ -173,7 +173,7 @@ def closed(arm: Arm, entries: Entries, length) -> list[Found]:
     goal, proper, near = asked(arm, entries)
     shape, slots = goal.position[0].shape, []
     for q in proposed(arm, goal, near):
-        held = tuple(near(jnp.broadcast_to(x, shape)) for x in descent.into_limits(arm, q))
+        held = tuple(near(jnp.broadcast_to(x, shape)) for x in newton.into_limits(arm, q))
         found = _from_starts(arm, goal, proper, held, length, 0, None, "weighted", near)
         slots.append(found._replace(cost=near(found.cost)))
     return slots
@@ -203,7 +203,7 @@ def from_starts(
     arm: Arm, goal: Pose, proper, starts, length, steps, damping, priority: str = "weighted"
 ) -> Found:
     """All starts after their steps."""
-    starts = descent.into_limits(arm, starts)
+    starts = newton.into_limits(arm, starts)
     goal = jax.tree.map(lambda x: x[None], goal)
     return _from_starts(arm, goal, proper[None], starts, length, steps, damping, priority, lambda x: x)
 
@@ -213,8 +213,8 @@ def _from_starts(arm: Arm, goal: Pose, proper, starts, length, steps, damping, p
     state, flat, bottom = priorities.descend(arm, goal, length, priority, starts, steps, pinned, damping)
     flat = hold(flat)
     at, size = state.at, reach(arm)
-    seen = descent.is_seen(arm, goal, at, length)
-    down = proper & seen & (flat <= descent.CONVERGED[flat.dtype.name])
+    seen = newton.is_seen(arm, goal, at, length)
+    down = proper & seen & (flat <= newton.CONVERGED[flat.dtype.name])
     cost = size * size * at.cost
     if priority != "weighted":
         cost = (size * at.gap) ** 2 + (length * at.angle) ** 2
@@ -232,12 +232,12 @@ class _Descending:
 
     def __call__(self, arm: Arm, rows) -> dict[str, jax.Array]:
         goals, length, steps, starts, damping = rows
-        columns = blocks.columns_of(goals)
+        columns = batched.columns_of(goals)
         entries = tuple(tuple(columns[4 * i + j] for j in range(4)) for i in range(4))
         if starts is not None:
-            spread = blocks.columns_of(starts).reshape(*starts.shape[1:], -1)
+            spread = batched.columns_of(starts).reshape(*starts.shape[1:], -1)
             starts = tuple(spread[:, i] for i in range(arm.n))
-            damping = None if damping is None else blocks.columns_of(damping)
+            damping = None if damping is None else batched.columns_of(damping)
         goal, proper, near = asked(arm, entries)
         starts = proposals(arm, goal, near) if starts is None else starts
 
@@ -250,8 +250,8 @@ class _Descending:
         # One start after the other: what lies between two steps of all of them is more than a cache holds.
         found = jax.lax.map(of_one, (starts, damping))
         count = found.cost.shape[0]
-        fields = {name: blocks.packed(list(getattr(found, name))) for name in (*FIELDS, "damping")}
-        q = blocks.packed([x[s] for s in range(count) for x in found.q])
+        fields = {name: batched.packed(list(getattr(found, name))) for name in (*FIELDS, "damping")}
+        q = batched.packed([x[s] for s in range(count) for x in found.q])
         return {**fields, "q": q.reshape(-1, count, arm.n)}
 
 
@@ -261,11 +261,11 @@ class _Closed:
 
     def __call__(self, arm: Arm, rows) -> dict[str, jax.Array]:
         goals, length = rows
-        columns = blocks.columns_of(goals)
+        columns = batched.columns_of(goals)
         entries = tuple(tuple(columns[4 * i + j] for j in range(4)) for i in range(4))
         slots = closed(arm, entries, length[:, 0])
-        fields = {name: blocks.packed([getattr(slot, name) for slot in slots]) for name in FIELDS}
-        q = blocks.packed([x for slot in slots for x in slot.q])
+        fields = {name: batched.packed([getattr(slot, name) for slot in slots]) for name in FIELDS}
+        q = batched.packed([x for slot in slots for x in slot.q])
         return {**fields, "q": q.reshape(-1, len(slots), arm.n)}
 
 
@@ -273,13 +273,13 @@ def _in_blocks(arm: Arm, goals: jax.Array, starts, length, steps: int, priority:
     batch, flat = goals.shape[:-2], goals.reshape(-1, 4, 4)
     worth = jnp.broadcast_to(length, (flat.shape[0], 1))
     if starts is None and steps == 0:
-        found = blocks.in_blocks(_Closed(), arm, (flat, worth))
+        found = batched.in_blocks(_Closed(), arm, (flat, worth))
         return Projection(**{name: x.reshape(*batch, *x.shape[1:]) for name, x in found.items()})
     if starts is not None:
         starts = starts.reshape(-1, *starts.shape[-2:])
     few = jnp.full(worth.shape, min(steps, FIRST), jnp.int32)
     block = _Descending(priority)
-    found = blocks.in_blocks(block, arm, (flat, worth, few, starts, None))
+    found = batched.in_blocks(block, arm, (flat, worth, few, starts, None))
     done = FIRST
     while done < steps:
         late = np.nonzero(~np.asarray(found["converged"]))
@@ -290,7 +290,7 @@ def _in_blocks(arm: Arm, goals: jax.Array, starts, length, steps: int, priority:
         at, slot = (jnp.asarray(x) for x in late)
         q, damping = found["q"][at, slot][:, None], found["damping"][at, slot][:, None]
         turn = jnp.full((*at.shape, 1), more, jnp.int32)
-        rest = blocks.in_blocks(block, arm, (flat[at], worth[at], turn, q, damping))
+        rest = batched.in_blocks(block, arm, (flat[at], worth[at], turn, q, damping))
         found = {name: x.at[at, slot].set(rest[name][:, 0]) for name, x in found.items()}
         done += more
     del found["damping"]

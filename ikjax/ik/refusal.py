@@ -1,6 +1,6 @@
 """Why an arm has no closed form, and what would help: one line for an error, or all that was found.
 
-Storey: ik. Host side: it looks at the arm's numbers.
+Host side: it looks at the arm's numbers.
 """
 
 import math
@@ -8,10 +8,11 @@ import re
 
 import numpy as np
 
-from ikjax.arm import dh, structure
+from ikjax.arm import dh
 from ikjax.arm.arm import Arm
-from ikjax.arm.axes import Axes, rewritten, small_pose
-from ikjax.arm.facts import Check
+from ikjax.arm.axes_to_dh import Axes, rewritten, small_pose
+from ikjax.arm.recognition import recognize
+from ikjax.arm.recognition.facts import Check
 from ikjax.core.known import is_traced
 
 LADDER = ("1e-5", "1e-4", "1e-3", "0.01", "0.02")
@@ -30,7 +31,7 @@ def refusal(arm: Arm) -> str:
     remedy = "project() takes any arm"
     if is_traced(arm):
         return f"{verdict}. {remedy}; explain(arm) says why, outside jit"
-    families = [name for name, rule in structure.RULES.items() if re.fullmatch(rule.kinds, arm.kinds)]
+    families = [name for name, rule in recognize.RULES.items() if re.fullmatch(rule.kinds, arm.kinds)]
     if not families:
         return f"{verdict}: no family has joints {arm.kinds}. {remedy}"
     numbers, given = _numbers(arm), _axes(arm)
@@ -41,7 +42,7 @@ def refusal(arm: Arm) -> str:
     else:
         family = _nearest(given, families)
         nearest = f"for {family}, the nearest, "
-    failed = _failed(arm.kinds, numbers, family, structure.tolerance_of(arm.dtype))
+    failed = _failed(arm.kinds, numbers, family, recognize.tolerance_of(arm.dtype))
     if not failed:
         return f"{verdict}. {remedy}"
     more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
@@ -57,7 +58,7 @@ def _within(given: Axes, families: list[str]) -> tuple[str, float, str] | None:
             break
         table = rewritten(given, float(tolerance))
         numbers = {**table.columns, "tool": table.tool}
-        family = structure.recognise(given.kinds, numbers).family
+        family = recognize.recognise(given.kinds, numbers).family
         if family and (not found or families.index(family) < families.index(found[0])):
             shift, turn = np.abs(table.correction[:, :3]).max(), np.abs(table.correction[:, 3:]).max()
             found = family, max(float(turn), float(shift) / _size(numbers)), tolerance
@@ -75,10 +76,10 @@ def _nearest(given: Axes, families: list[str]) -> str:
 def what_was_found(arm: Arm) -> str:
     """The arm's axes in words, and what keeps it out of every family."""
     if is_traced(arm):
-        return "Families: " + ", ".join(structure.RULES)
-    numbers, tolerance = _numbers(arm), structure.tolerance_of(arm.dtype)
-    lines = [f"Found: joints {arm.kinds}; {structure.found(arm.kinds, numbers, tolerance)}.", "Families:"]
-    for name, rule in structure.RULES.items():
+        return "Families: " + ", ".join(recognize.RULES)
+    numbers, tolerance = _numbers(arm), recognize.tolerance_of(arm.dtype)
+    lines = [f"Found: joints {arm.kinds}; {recognize.found(arm.kinds, numbers, tolerance)}.", "Families:"]
+    for name, rule in recognize.RULES.items():
         lines.append(f"  {name}: {rule.summary}.")
         if not re.fullmatch(rule.kinds, arm.kinds):
             lines.append(f"    Not this arm: it wants joints {rule.joints}.")
@@ -113,7 +114,7 @@ def _size(numbers: dict[str, np.ndarray]) -> float:
 
 
 def _failed(kinds: str, numbers: dict, family: str, tolerance: float) -> list[Check]:
-    return [check for check in structure.evidence(kinds, numbers, family, tolerance) if not check.holds]
+    return [check for check in recognize.evidence(kinds, numbers, family, tolerance) if not check.holds]
 
 
 def _weight(check: Check) -> float:

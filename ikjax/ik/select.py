@@ -1,7 +1,4 @@
-"""Choosing among the branches: within limits, and nearest to where the arm is.
-
-Storey: ik.
-"""
+"""Choosing among the branches: within limits, and nearest to where the arm is."""
 
 import dataclasses
 
@@ -9,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from ikjax.arm.arm import Arm
-from ikjax.ik.solutions import Solutions
+from ikjax.ik.results import Solutions
 from ikjax.ik.turns import limits_like, nearest_turn, place_like
 
 

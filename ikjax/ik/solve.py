@@ -1,6 +1,6 @@
 """`solve`: poses in, every branch out.
 
-Storey: ik. Inside a caller's jit it is a plain elementwise graph, so what is not used is never
+Inside a caller's jit it is a plain elementwise graph, so what is not used is never
 computed. Called eagerly it works through the goals in blocks that fit the cache, always of one
 size and with the arm passed the same way, so that the bits of an answer depend on its goal alone.
 """
@@ -16,12 +16,12 @@ import numpy as np
 from ikjax.arm.arm import Arm
 from ikjax.core.known import as_array, is_traced, stop_gradient
 from ikjax.core.warn import MOST_TURNS, warn_of_degrees
-from ikjax.ik import blocks
-from ikjax.ik.graph import solve_here
-from ikjax.ik.implicit import with_slopes
+from ikjax.ik import batched
+from ikjax.ik.inline import solve_here
 from ikjax.ik.refusal import refusal
-from ikjax.ik.solutions import Solutions
-from ikjax.solvers.family import as_solved
+from ikjax.ik.results import Solutions
+from ikjax.ik.solve_gradient import with_slopes
+from ikjax.solvers.pipeline import as_solved
 
 
 def solve(
@@ -45,7 +45,7 @@ def solve(
     Returns:
         `Solutions`, its fields (..., S) with S = len(arm.branches). `q` and `margin` have slopes in
         the goals and in the arm's leaves, finite everywhere and zero for joints of slots that are not
-        valid (`ik.implicit` states the rule); the other fields have none.
+        valid (`ik.solve_gradient` states the rule); the other fields have none.
 
     Raises:
         ValueError: Wrong shapes or types, or an arm of no family.
@@ -81,7 +81,7 @@ def _solved(arm: Arm, goals: jax.Array, q_now, tolerance) -> Solutions:
     batch = goals.shape[:-2]
     flat = goals.reshape(-1, 4, 4)
     now = None if q_now is None else q_now.reshape(-1, arm.n)
-    packed = blocks.solve_blocks(arm, flat, now, tolerance)
+    packed = batched.solve_blocks(arm, flat, now, tolerance)
     return jax.tree.map(lambda x: x.reshape(*batch, *x.shape[1:]), packed)
 
 

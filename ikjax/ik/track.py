@@ -1,6 +1,6 @@
 """`track`: a path of goals, followed on one branch.
 
-Storey: ik. One `lax.scan` along the path. At each goal the arm goes downhill from where it is, which keeps
+One `lax.scan` along the path. At each goal the arm goes downhill from where it is, which keeps
 it on its branch; the closed form's branches say whether another one would now do better.
 """
 
@@ -13,11 +13,11 @@ import numpy as np
 
 from ikjax.arm.arm import Arm
 from ikjax.core.known import as_array, stop_gradient
-from ikjax.ik import descent
-from ikjax.ik.graph import entries_of, jit_with_arm
+from ikjax.ik import newton
+from ikjax.ik.inline import entries_of, jit_with_arm
 from ikjax.ik.refine import asked, checked, from_starts, goal_error, proposals
 from ikjax.ik.solve import check_family
-from ikjax.solvers.family import TOLERANCE, reach
+from ikjax.solvers.pipeline import TOLERANCE, reach
 
 STEPS = 24
 
@@ -109,7 +109,7 @@ def _tracked(arm: Arm, goals, q0, length, leap, slack, steps) -> Path:
         at = _next(arm, goal, q, length, leap, slack, steps)
         return at.q, at
 
-    first = descent.into_limits(arm, tuple(q0[..., i] for i in range(arm.n)))
+    first = newton.into_limits(arm, tuple(q0[..., i] for i in range(arm.n)))
     _, path = jax.lax.scan(onward, jnp.stack(first, axis=-1), jnp.moveaxis(goals, -3, 0))
     axis = goals.ndim - 3
     path = jax.tree.map(lambda x: jnp.moveaxis(x, 0, axis), path)
@@ -122,10 +122,10 @@ def _next(arm: Arm, goal, q, length, leap, slack, steps: int) -> Path:
     now = tuple(q[..., i] for i in range(arm.n))
     starts = proposals(arm, pose, near)
     here = tuple(x[None] for x in now)
-    starts = descent.into_limits(arm, starts, here)
+    starts = newton.into_limits(arm, starts, here)
     starts = tuple(jnp.concatenate([x, y]) for x, y in zip(here, starts, strict=True))
     found = from_starts(arm, pose, proper, starts, length, steps, None)
-    values = descent.into_limits(arm, found.q, here)
+    values = newton.into_limits(arm, found.q, here)
     moves = functools.reduce(jnp.maximum, [abs(x - y) for x, y in zip(values, here, strict=True)])
     far = jnp.sqrt(found.cost)
     near_enough = far <= far.min(0, keepdims=True) + slack

@@ -1,6 +1,6 @@
 """Whole turns of joints: which of them the limits allow, and which is nearest to a place.
 
-Storey: ik. A turning joint stands in the same pose at x + 2 pi k for every whole k. Everything here is
+A turning joint stands in the same pose at x + 2 pi k for every whole k. Everything here is
 elementwise, and the derivative of a joint value in itself is one.
 """
 
@@ -16,7 +16,7 @@ from ikjax.arm.forward import whole_turns
 from ikjax.core.known import as_array
 from ikjax.core.trig import Scalar, with_turns
 from ikjax.core.warn import MOST_TURNS, warn_of_degrees
-from ikjax.ik.solutions import Solutions
+from ikjax.ik.results import Solutions
 
 TURN = 2 * math.pi
 

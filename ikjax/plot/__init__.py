@@ -1,6 +1,6 @@
 """Pictures: workspaces in slices, solids, discs and points, two of them compared, branches, the arm.
 
-Storey: plot, above all others. Needs matplotlib (`pip install ikjax[viz]`), which is imported at the first
+Needs matplotlib (`pip install ikjax[viz]`), which is imported at the first
 picture. A figure is left open for `plt.show()`, unless it is given a path: then it is saved and closed.
 Metres everywhere, to one scale on all axes.
 """

@@ -1,14 +1,11 @@
-"""How a statistic is spread over the positions that are reached.
-
-Storey: plot.
-"""
+"""How a statistic is spread over the positions that are reached."""
 
 import numpy as np
 
 from ikjax.core.text import line, picture
+from ikjax.maps.sets.surface import Surface
 from ikjax.plot.disc import head
 from ikjax.plot.style import ACCENT, MAP, STYLE, finish, pyplot
-from ikjax.study.surface import Surface
 
 UNITS = {"best_margin": "[m]", "best_margin_within": "[m]", "dexterity": ""}
 

@@ -1,20 +1,17 @@
-"""Two maps of the same positions: what one arm, or one mounting, reaches that the other does not.
-
-Storey: plot.
-"""
+"""Two maps of the same positions: what one arm, or one mounting, reaches that the other does not."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from ikjax.maps.sets.positions import Grid
 from ikjax.plot.disc import head, label
 from ikjax.plot.planes import Plane, Slice, kept, plane_of, ticks_of, usual
 from ikjax.plot.points import facing, scatter
 from ikjax.plot.slices import draw_plane, span_of
 from ikjax.plot.stick import box
 from ikjax.plot.style import DIVERGING, INK, MAP, STYLE, finish, pyplot
-from ikjax.study.goals import Grid
 
 
 class Change(NamedTuple):

@@ -1,6 +1,6 @@
 """The sphere of directions as two discs of equal area: which ways a tool can point, and maps of shells.
 
-Storey: plot. Every part of the sphere has its true share of the discs' area, which a globe seen from one side
+Every part of the sphere has its true share of the discs' area, which a globe seen from one side
 has not. Both discs are seen from above, the lower one as through the upper.
 Source: Lambert's azimuthal equal-area projection; Snyder, Map projections, USGS 1395 (1987), section 24.
 """
@@ -14,10 +14,10 @@ from scipy.spatial import cKDTree
 
 from ikjax.arm.arm import Arm
 from ikjax.core.text import picture
+from ikjax.maps.sets.orientations import cone
+from ikjax.maps.sets.surface import surface
+from ikjax.maps.sweep import sweep
 from ikjax.plot.style import INK, MAP, PALE, STYLE, finish, flat, pyplot
-from ikjax.study.orientations import cone
-from ikjax.study.surface import surface
-from ikjax.study.sweep import sweep
 
 PIXELS = 301
 

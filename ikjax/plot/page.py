@@ -1,6 +1,6 @@
 """A map on one page: HTML that needs nothing else, its pictures inside it.
 
-Storey: plot. No script, no font and no picture from elsewhere, so that a page that is kept or sent stays
+No script, no font and no picture from elsewhere, so that a page that is kept or sent stays
 readable; what comes out of a map is escaped, since a map may come from anyone.
 """
 
@@ -12,16 +12,17 @@ import shlex
 import numpy as np
 
 from ikjax.core.text import html
+from ikjax.maps import compare, statistics
+from ikjax.maps.reach_map import ReachMap
+from ikjax.maps.sets.orientations import Cone, Even
+from ikjax.maps.sets.positions import Grid
+from ikjax.maps.store import layout, manifest
 from ikjax.plot.bars import histogram
 from ikjax.plot.contrast import comparison
 from ikjax.plot.disc import globe
 from ikjax.plot.slices import reach_map
 from ikjax.plot.solid import nested
 from ikjax.plot.style import pyplot
-from ikjax.study import compare, layout, spec, statistics
-from ikjax.study.goals import Grid
-from ikjax.study.orientations import Cone, Even
-from ikjax.study.reach import ReachMap
 
 DPI = 110
 
@@ -88,7 +89,7 @@ def page(reach: ReachMap, then: ReachMap | None = None, name: str = "map.zarr") 
     parts.append(f"<h2>How to repeat it</h2>\n{_text(repeat(reach, name))}")
     study = _study(reach)
     parts.append(
-        f"<h2>Spec</h2>\n<p>Fingerprint {spec.fingerprint(study)}. All that the numbers depend on:</p>\n"
+        f"<h2>Spec</h2>\n<p>Fingerprint {manifest.fingerprint(study)}. All that the numbers depend on:</p>\n"
         f"<details><summary>JSON</summary>{_text(json.dumps(study, indent=1))}</details>\n</body></html>\n"
     )
     return "\n".join(parts)
@@ -102,7 +103,7 @@ def repeat(reach: ReachMap, name: str) -> str:
     names = ", ".join(words.values())
     own = [key for key, word in words.items() if word == key]
     given = "".join(f"{key} = ...  # the ikjax.Measure of that name, as it was\n" for key in own)
-    certify = ", certify=True" if spec.is_certified(reach.told) else ""
+    certify = ", certify=True" if manifest.is_certified(reach.told) else ""
     shell = shlex.quote(name)
     return f"""\
 # in Python: the same arm, positions and orientations ({which})
@@ -142,7 +143,7 @@ def _places(reach: ReachMap) -> np.ndarray:
 def _study(reach: ReachMap) -> dict:
     fixed = layout.fixed(reach.grid, reach.directions)
     parts = (reach.arm, reach.grid, reach.directions, reach.rolls, reach.dtype)
-    return spec.of_study(*parts, reach.told, fixed)
+    return manifest.of_study(*parts, reach.told, fixed)
 
 
 def _text(words: str) -> str:

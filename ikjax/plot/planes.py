@@ -1,7 +1,4 @@
-"""Layers of a box grid: which, where they lie, and where in one an arm is shown well.
-
-Storey: plot.
-"""
+"""Layers of a box grid: which, where they lie, and where in one an arm is shown well."""
 
 from collections.abc import Callable
 from typing import NamedTuple

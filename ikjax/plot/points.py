@@ -1,7 +1,4 @@
-"""A map of points, a part's surface or a list, beside the arm.
-
-Storey: plot.
-"""
+"""A map of points, a part's surface or a list, beside the arm."""
 
 import math
 from typing import Any

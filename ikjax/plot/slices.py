@@ -1,19 +1,16 @@
-"""A box grid's map in slices, coloured by dexterity, with the arm in them.
-
-Storey: plot.
-"""
+"""A box grid's map in slices, coloured by dexterity, with the arm in them."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
 from ikjax.core.text import picture
+from ikjax.maps.sets.positions import Grid, Shell
 from ikjax.plot.disc import shell_map
 from ikjax.plot.planes import Plane, Slice, kept, plane_of, posture, ticks_of, usual
 from ikjax.plot.points import point_map
 from ikjax.plot.stick import draw_flat, sticks
 from ikjax.plot.style import INK, MAP, PALE, STYLE, finish, flat, pyplot
-from ikjax.study.goals import Grid, Shell
 
 
 def reach_map(reach, path=None, q=None, slices: Sequence[Slice] | None = None):

@@ -1,6 +1,6 @@
 """A box grid's map as solids, one for each dexterity, cut open so that the inner ones and the arm are seen.
 
-Storey: plot. The surfaces are cut out of tetrahedra, six a cell, which leaves no case ambiguous.
+The surfaces are cut out of tetrahedra, six a cell, which leaves no case ambiguous.
 Source: Doi and Koide, An efficient method of triangulating equi-valued surfaces by using tetrahedral
 cells, IEICE Trans. E74 (1991).
 """
@@ -10,11 +10,11 @@ import itertools
 import numpy as np
 from scipy import ndimage
 
+from ikjax.maps.sets.positions import Grid
 from ikjax.plot.disc import head, label
 from ikjax.plot.planes import plane_of, posture, ticks_of
 from ikjax.plot.stick import box, draw_3d, sticks
 from ikjax.plot.style import INK, MAP, STYLE, finish, pyplot
-from ikjax.study.goals import Grid
 
 MOST_CELLS = 44
 """Along an axis of a picture; a finer map is thinned."""

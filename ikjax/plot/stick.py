@@ -1,7 +1,4 @@
-"""An arm as a stick figure, and every branch of a goal in figures of its own.
-
-Storey: plot.
-"""
+"""An arm as a stick figure, and every branch of a goal in figures of its own."""
 
 from typing import NamedTuple
 

@@ -1,7 +1,4 @@
-"""What all pictures share: colours, type sizes, and how a figure ends.
-
-Storey: plot.
-"""
+"""What all pictures share: colours, type sizes, and how a figure ends."""
 
 from typing import Any
 

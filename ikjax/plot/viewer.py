@@ -1,6 +1,6 @@
 """A map in the browser: a slice that moves through it, and every branch of a goal that is dragged.
 
-Storey: plot. Needs viser (`pip install ikjax[viz3d]`). The server listens on 127.0.0.1 alone: nobody else on
+Needs viser (`pip install ikjax[viz3d]`). The server listens on 127.0.0.1 alone: nobody else on
 the network can see or steer it; from another machine, use `ssh -L 8080:127.0.0.1:8080`.
 """
 
@@ -18,10 +18,10 @@ from ikjax.core.pose import pose, to_quaternion
 from ikjax.core.text import markdown
 from ikjax.ik.select import within_limits
 from ikjax.ik.solve import solve
+from ikjax.maps.sets.positions import Grid
 from ikjax.plot.planes import Plane, kept, plane_of, posture, ticks_of
 from ikjax.plot.stick import sticks_of
 from ikjax.plot.style import COLOURS, MAP
-from ikjax.study.goals import Grid
 
 HOST = "127.0.0.1"
 OUTSIDE = (150, 150, 150)

@@ -9,8 +9,8 @@ import pytest
 
 import ikjax
 from ikjax.core.trig import Angle
-from ikjax.solvers import polish
-from ikjax.solvers.branch import Slide
+from ikjax.solvers import given_arm
+from ikjax.solvers.context import Slide
 
 HALF_PI = np.pi / 2
 UR10E = {
@@ -161,9 +161,9 @@ def test_every_answer_of_an_arm_off_by_a_thousandth_is_found():
 
 
 def test_the_other_side_of_a_fold_is_as_far_away():
-    assert polish._mirrored(Slide(0.5), Slide(0.7)).value == pytest.approx(0.3)
+    assert given_arm._mirrored(Slide(0.5), Slide(0.7)).value == pytest.approx(0.3)
     start, joint = (Angle(np.sin(t), np.cos(t), ()) for t in (2.9, -2.9))
-    mirrored = polish._mirrored(start, joint)
+    mirrored = given_arm._mirrored(start, joint)
     assert np.arctan2(mirrored.sin, mirrored.cos) == pytest.approx(2 * 2.9 - (2 * np.pi - 2.9))
 
 

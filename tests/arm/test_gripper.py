@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from ikjax.arm.gripper import Moved, gripper
+from ikjax.arm.urdf.gripper import Moved, gripper
 
 INF = math.inf
 ARM = [Moved(f"joint{i}", f"link{i}", "R", -3.0, 3.0) for i in range(1, 6)]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import ikjax
-from ikjax.solvers.family import as_solved
+from ikjax.solvers.pipeline import as_solved
 
 PI = np.pi
 

@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import ikjax
-from ikjax.arm.urdf_xml import ArmFileError
+from ikjax.arm.urdf.xml import ArmFileError
 
 
 class Joint:

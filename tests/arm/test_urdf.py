@@ -10,8 +10,8 @@ import warnings
 import numpy as np
 import pytest
 
-from ikjax.arm.urdf import read_chain, rotation_of
-from ikjax.arm.urdf_xml import ArmFileError
+from ikjax.arm.urdf.reader import read_chain, rotation_of
+from ikjax.arm.urdf.xml import ArmFileError
 
 LIMIT = '<limit lower="-1" upper="2" effort="1" velocity="1"/>'
 

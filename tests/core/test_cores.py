@@ -68,6 +68,6 @@ def test_affinity_counts_and_so_does_a_system_that_has_none(tmp_path, monkeypatc
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="no affinity here")
 def test_the_library_has_as_many_threads_as_it_may_use():
     one = "import os; os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:1])"
-    ask = f"{one}; from ikjax.ik.blocks import THREADS, pool; assert THREADS == pool()._max_workers == 1"
+    ask = f"{one}; from ikjax.ik.batched import THREADS, pool; assert THREADS == pool()._max_workers == 1"
     path = {**os.environ, "PYTHONPATH": os.pathsep.join(map(os.path.abspath, filter(None, sys.path)))}
     subprocess.run([sys.executable, "-c", ask], check=True, env=path)

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 import ikjax
 from ikjax.core import pose as poses
 from ikjax.core.linear import solve_symmetric
-from ikjax.ik import descent
-from ikjax.solvers.family import reach
+from ikjax.ik import newton
+from ikjax.solvers.pipeline import reach
 
 LENGTH = 0.1
 ARM = ikjax.robots.get("so101")
@@ -41,7 +41,7 @@ def columns(q):
 
 
 def standing(arm, goals, q):
-    return descent.standing(arm, descent.Wish(poses.from_matrix(jnp.asarray(goals)), LENGTH), columns(q))
+    return newton.standing(arm, newton.Wish(poses.from_matrix(jnp.asarray(goals)), LENGTH), columns(q))
 
 
 @pytest.mark.parametrize("angle", [0, 1e-12, 1e-5, 1, 3, np.pi - 1e-9, np.pi])
@@ -84,7 +84,7 @@ def test_slope_and_curvature_are_those_of_the_cost(name):
     at = standing(arm, goals, q)
     steps = np.concatenate([np.eye(arm.n), -np.eye(arm.n)])[:, None] * h
     beside = standing(arm, goals[None], q[None] + steps)
-    size = float(ikjax.solvers.family.reach(arm.baked()))
+    size = float(ikjax.solvers.pipeline.reach(arm.baked()))
     units = np.where([kind == "P" for kind in arm.kinds], size, 1.0)[:, None]
     up, down = np.split(np.array(beside.cost), 2)
     np.testing.assert_allclose(np.array(at.slope), units * (up - down) / (4 * h), atol=1e-9)
@@ -338,11 +338,11 @@ def test_a_start_outside_the_limits_takes_as_few_turns_as_will_do():
         ARM, limits=jnp.asarray([[-6.2, 6.2], [1.0, 2.0], [-20, 20], [4, 100], [-1, 0.5]])
     )
     q = columns(np.array([7.0, 9.0, 15.0, 1.0, 2.5]))
-    inside = np.stack(descent.into_limits(arm, q))
+    inside = np.stack(newton.into_limits(arm, q))
     turn = 2 * np.pi
     # The last fits at no turn: it stands at the end that it passes by less.
     np.testing.assert_allclose(inside, [7 - turn, 2.0, 15.0, 1 + turn, 0.5], rtol=1e-15)
     near = columns(np.array([-5.0, 0, -18.0, 50.0, 0]))
-    inside = np.stack(descent.into_limits(arm, q, near))
+    inside = np.stack(newton.into_limits(arm, q, near))
     wanted = [7 - 2 * turn, 2.0, 15 - 5 * turn, 1 + 8 * turn, 0.5]
     np.testing.assert_allclose(inside, wanted, rtol=1e-14)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import ikjax
-from ikjax.ik.graph import entries_of, gathered, slots_of
+from ikjax.ik.inline import entries_of, gathered, slots_of
 
 DEG = np.pi / 180
 

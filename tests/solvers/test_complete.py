@@ -1,17 +1,17 @@
 """Completeness: `solve` gives as many answers as there are, no fewer and no more.
 
-`certified.py` finds every real answer at 50 digits, from the DH table and the goal before it is rounded to
+`root_counts.py` finds every real answer at 50 digits, from the DH table and the goal before it is rounded to
 float64; each is then put into forward kinematics at 50 digits. The slots must be the same set, one by one.
 
 The arm is the one that is meant: twists within 1e-12 of a quarter turn are one, base and tool are rigid.
 """
 
+import arm_patterns
 import arms
-import certified
-import every
 import numpy as np
 import pytest
-from certified import mp
+import root_counts
+from root_counts import mp
 
 import ikjax
 
@@ -48,7 +48,7 @@ LEFT_OUT = 0.02
 
 
 def _arm(name) -> ikjax.Arm:
-    return every.build(name) if name in every.NAMES else ikjax.robots.get(name)
+    return arm_patterns.build(name) if name in arm_patterns.NAMES else ikjax.robots.get(name)
 
 
 def exact(array) -> np.ndarray:
@@ -82,7 +82,7 @@ def chain(arm, stretch=(1,)) -> list[np.ndarray]:
 
 
 def fk(arm, C, joints) -> np.ndarray:
-    return C[0] @ certified.moved(arm.kinds, C[1:], joints)
+    return C[0] @ root_counts.moved(arm.kinds, C[1:], joints)
 
 
 def _rotation(rng) -> np.ndarray:
@@ -101,7 +101,7 @@ def exact_goals(arm, C, count) -> list[np.ndarray]:
     """
     rng = np.random.default_rng([11, len(arm.name)])
     goals = []
-    for i, q in enumerate(every.joints(arm, count, seed=11)):
+    for i, q in enumerate(arm_patterns.joints(arm, count, seed=11)):
         joints = [mp.expj(x) if kind == "R" else mp.mpf(x) for kind, x in zip(arm.kinds, q, strict=True)]
         if i % 2 == 0:
             goals.append(fk(arm, C, joints))
@@ -121,7 +121,7 @@ def exact_goals(arm, C, count) -> list[np.ndarray]:
 def _reached(arm, found, goal) -> bool:
     rows = slice(0, 3)
     columns = slice(0, 4) if arm.task in ("pose", "planar_pose") else slice(3, 4)
-    return max(abs(x) for x in (found - goal)[rows, columns].flat) < certified.REAL
+    return max(abs(x) for x in (found - goal)[rows, columns].flat) < root_counts.REAL
 
 
 def _floats(arm, joints) -> list[float]:
@@ -143,8 +143,8 @@ def tally(name, count) -> dict:
     counts, left_out, wrong = {}, 0, []
     for i, goal in enumerate(goals):
         try:
-            answers = certified.answers(arm, C, goal)
-        except certified.NearFoldError:
+            answers = root_counts.answers(arm, C, goal)
+        except root_counts.NearFoldError:
             left_out += 1
             continue
         assert all(_reached(arm, fk(arm, C, joints), goal) for joints in answers)

@@ -111,7 +111,7 @@ def test_every_singular_goal_has_an_answer(name, dtype):
     ],
 )
 def test_masks_of_a_jit_hold_for_the_joints_beside_them(name, dtype):
-    """There the two come from two programs: see `ik.graph`."""
+    """There the two come from two programs: see `ik.inline`."""
     arm = arms.build(name)
     goals = arms.numpy_fk(arm, ladders(name)).astype(dtype)
     solve = jax.jit(lambda T: vars(ikjax.solve(arm.astype(dtype), T)))

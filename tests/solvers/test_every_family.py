@@ -2,8 +2,8 @@
 
 import functools
 
+import arm_patterns
 import arms
-import every
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -31,7 +31,7 @@ def family(name: str) -> str:
         return "parallel_axes"
     if name.endswith(("wrist", "point")):
         return FAMILY[name[-5:]]
-    return "planar_position" if len(every.TABLE[name]["kinds"]) == 2 else "planar_pose"
+    return "planar_position" if len(arm_patterns.TABLE[name]["kinds"]) == 2 else "planar_pose"
 
 
 def _promised(arm, goals, dtype):
@@ -42,16 +42,16 @@ def _promised(arm, goals, dtype):
 
 def _wrong(arm, sol, goals, dtype):
     rounded = goals.astype(dtype).astype(float)
-    gap, turn = every.errors(arm, sol.q, rounded[:, None])
+    gap, turn = arm_patterns.errors(arm, sol.q, rounded[:, None])
     angle, length = _promised(arm, rounded, dtype)
     # Slides may be long: their rounding counts over what they span.
     spread = 8 * np.finfo(dtype).eps * np.abs(sol.q).max(-1)
     return sol.valid & ((gap > length + spread) | (turn > angle))
 
 
-@pytest.mark.parametrize("name", every.NAMES)
+@pytest.mark.parametrize("name", arm_patterns.NAMES)
 def test_the_family_is_recognised(name):
-    arm = every.build(name)
+    arm = arm_patterns.build(name)
     assert arm.family == family(name)
     assert len(set(arm.branches)) == len(arm.branches) >= 1
     assert "NO" not in ikjax.explain(arm)
@@ -63,12 +63,12 @@ PARTS = {"random": slice(0, 384), "right": slice(384, 448), "far": slice(448, 51
 @functools.cache
 def _solved(name, dtype=np.float64):
     """An arm, the joints, goals and slots of random joints, of right angles, and of goals out of reach."""
-    arm = every.build(name)
+    arm = arm_patterns.build(name)
     rng = np.random.default_rng(7)
     turning = np.array([kind == "R" for kind in arm.kinds])
     quarter = rng.integers(-1, 3, (64, arm.n)) * np.pi / 2
     right = np.where(turning, quarter - arms.leaves(arm)["theta"], rng.integers(-1, 2, (64, arm.n)) * 0.2)
-    q = np.concatenate([every.joints(arm, 384), right, every.joints(arm, 64, seed=5)])
+    q = np.concatenate([arm_patterns.joints(arm, 384), right, arm_patterns.joints(arm, 64, seed=5)])
     goals = arms.numpy_fk(arm, q)
     far = goals[PARTS["far"]]
     far[:, :3, 3] += 20 * arms.reach(arm) * far[:, :3, 0]
@@ -84,7 +84,7 @@ def _part(part, name, dtype=np.float64):
 
 
 @pytest.mark.parametrize("dtype", TYPES)
-@pytest.mark.parametrize("name", every.NAMES)
+@pytest.mark.parametrize("name", arm_patterns.NAMES)
 def test_the_joints_that_made_the_goal_are_found_and_nothing_is_wrong(name, dtype):
     arm, q, goals, sol = _part("random", name, dtype)
     assert sol.q.shape == (384, len(arm.branches), arm.n)
@@ -92,7 +92,7 @@ def test_the_joints_that_made_the_goal_are_found_and_nothing_is_wrong(name, dtyp
     off = np.abs(sol.q - q[:, None])
     off = np.where([kind == "R" for kind in arm.kinds], np.abs(arms.wrapped(off)), off).max(-1)
     near = np.where(sol.valid, off, np.inf).min(-1)
-    least = every.sigma_min(arm, q)
+    least = arm_patterns.sigma_min(arm, q)
     if dtype == np.float64:
         assert sol.valid.any(-1).all()
         # The pose is right to the tolerance, and joints to that over the least singular value.
@@ -103,7 +103,7 @@ def test_the_joints_that_made_the_goal_are_found_and_nothing_is_wrong(name, dtyp
 
 
 @pytest.mark.parametrize("dtype", TYPES)
-@pytest.mark.parametrize("name", every.NAMES)
+@pytest.mark.parametrize("name", arm_patterns.NAMES)
 def test_everything_is_finite_and_joints_at_right_angles_are_not_answered_wrongly(name, dtype):
     arm, _, goals, sol = _part("right", name, dtype)
     assert not _wrong(arm, sol, goals, dtype).any()
@@ -118,8 +118,8 @@ COMPILED = ("RRR, wrist", "2, 3, 4 parallel", "3R")
 @pytest.mark.parametrize("name", COMPILED)
 @pytest.mark.slow
 def test_the_front_door_masks_and_joints_agree(name):
-    arm = every.build(name)
-    q = every.joints(arm, 200, seed=1)
+    arm = arm_patterns.build(name)
+    q = arm_patterns.joints(arm, 200, seed=1)
     goals = arms.numpy_fk(arm, q)
     eager = ikjax.solve(arm, goals)
     assert eager.valid.any(-1).all()
@@ -132,14 +132,14 @@ def test_the_front_door_masks_and_joints_agree(name):
 
 @pytest.mark.parametrize("name", ("RRR, point", "3R", "2R"))
 def test_what_the_task_leaves_out_is_not_looked_at(name):
-    arm = every.build(name)
-    q = every.joints(arm, 20)
+    arm = arm_patterns.build(name)
+    q = arm_patterns.joints(arm, 20)
     goals = arms.numpy_fk(arm, q)
     sol = arms.solve_by_hand(arm, goals)
     changed = goals.copy()
     turn = arms.numpy_pose([0, 0, 0], [0.3, -0.2, 0.4])[:3, :3]
     if arm.task == "planar_pose":
-        changed[:, :3, 3] += 0.3 * every.plane_normal(arm)
+        changed[:, :3, 3] += 0.3 * arm_patterns.plane_normal(arm)
     else:
         changed[:, :3, :3] = turn @ goals[:, :3, :3]
     again = arms.solve_by_hand(arm, changed)
@@ -185,11 +185,11 @@ def _decomposed(name) -> ikjax.Arm:
 @pytest.mark.parametrize("name", DECOMPOSITIONS)
 def test_every_arm_that_eaik_decomposes_is_solved(name):
     arm = _decomposed(name)
-    q = every.joints(arm, 200)
+    q = arm_patterns.joints(arm, 200)
     sol = arms.solve_by_hand(arm, arms.numpy_fk(arm, q))
     assert sol.valid.any(-1).all()
     near = np.where(sol.valid, np.abs(arms.wrapped(sol.q - q[:, None])).max(-1), np.inf).min(-1)
-    assert (near[every.sigma_min(arm, q) > 1e-4] < 1e-4).all()
+    assert (near[arm_patterns.sigma_min(arm, q) > 1e-4] < 1e-4).all()
 
 
 @pytest.mark.parametrize("name", DECOMPOSITIONS)
@@ -199,7 +199,7 @@ def test_eaik_finds_the_same_set(name):
     p = arms.leaves(arm)
     robot = eaik.DhRobot(p["alpha"], p["a"], p["d"])
     assert robot.hasKnownDecomposition()
-    q = every.joints(arm, 100, seed=3)
+    q = arm_patterns.joints(arm, 100, seed=3)
     goals = arms.numpy_fk(arm, q)
     sol = arms.solve_by_hand(arm, goals)
     compared = 0
@@ -208,7 +208,7 @@ def test_eaik_finds_the_same_set(name):
         # Their rows are judged by forward kinematics, because some exact ones are marked least squares.
         exact = np.abs(arms.numpy_fk(arm, theirs) - goal).max((-1, -2)) < 1e-6
         theirs, ours = theirs[exact], sol.q[i][sol.valid[i]]
-        if every.sigma_min(arm, np.concatenate([ours, theirs])).min() < 1e-3:
+        if arm_patterns.sigma_min(arm, np.concatenate([ours, theirs])).min() < 1e-3:
             continue  # near a fold a double answer may be counted once or twice
         off = np.abs(arms.wrapped(ours[:, None] - theirs[None])).max(-1)
         assert off.min(1).max() < 1e-4, f"goal {i}: a slot that they do not have"
@@ -222,8 +222,8 @@ QUARTICS = ("RRR, point", "RRR square, point", "RRR 2 and 3 parallel, point", "R
 
 @pytest.mark.parametrize("name", QUARTICS)
 def test_whether_the_quartic_rises_is_the_sign_of_the_regional_determinant(name):
-    arm = every.build(name)
-    q = every.joints(arm, 500)
+    arm = arm_patterns.build(name)
+    q = arm_patterns.joints(arm, 500)
     sol = arms.solve_by_hand(arm, arms.numpy_fk(arm, q))
     determinant = np.linalg.det(arms.numpy_jacobian(arm, sol.q)[..., :3, :])
     clear = sol.valid & (np.abs(determinant) > 1e-4)
@@ -233,11 +233,11 @@ def test_whether_the_quartic_rises_is_the_sign_of_the_regional_determinant(name)
 
 def _regular(arm, sol):
     """Goals that are regular in every valid slot."""
-    least = np.where(sol.valid, every.sigma_min(arm, sol.q), np.inf).min(-1)
+    least = np.where(sol.valid, arm_patterns.sigma_min(arm, sol.q), np.inf).min(-1)
     return least > np.median(least) / 2
 
 
-@pytest.mark.parametrize("name", every.NAMES)
+@pytest.mark.parametrize("name", arm_patterns.NAMES)
 def test_no_answer_is_given_twice(name):
     arm, _, _, sol = _part("random", name)
     turning = [kind == "R" for kind in arm.kinds]
@@ -247,7 +247,7 @@ def test_no_answer_is_given_twice(name):
     assert np.where(both, off, np.inf)[_regular(arm, sol)].min(initial=np.inf) > 1e-5
 
 
-@pytest.mark.parametrize("name", every.NAMES)
+@pytest.mark.parametrize("name", arm_patterns.NAMES)
 def test_margin_is_positive_where_a_slot_is_valid_and_negative_out_of_reach(name):
     arm, _, _, sol = _part("random", name)
     assert (sol.margin[sol.valid & _regular(arm, sol)[:, None]] > 0).all()
@@ -269,8 +269,8 @@ def _slow(*names):
 )
 def test_margin_of_a_quartic_is_the_distance_from_its_fold(name):
     # A distance's slope has length one.
-    arm = every.build(name)
-    goals, reach = every.arms.numpy_fk(arm, every.joints(arm, 1000)), arms.reach(arm)
+    arm = arm_patterns.build(name)
+    goals, reach = arm_patterns.arms.numpy_fk(arm, arm_patterns.joints(arm, 1000)), arms.reach(arm)
     goals[:, :3, 3] *= np.linspace(0.7, 1.6, 1000)[:, None]
 
     def margins(k, by):
@@ -289,8 +289,8 @@ def test_margin_of_a_quartic_is_the_distance_from_its_fold(name):
 
 @pytest.mark.parametrize("name", ["RRR meet, wrist", "RRP meet, point", "RRR square, point"])
 def test_joint_1_follows_q_now_where_it_is_arbitrary(name):
-    arm = every.build(name)
-    q = every.joints(arm, 1)[0]
+    arm = arm_patterns.build(name)
+    q = arm_patterns.joints(arm, 1)[0]
     every_frame = arms.numpy_fk(arm, q, frames=True)
     base = every_frame[0]
     goals = arms.numpy_fk(arm, q)[None]

@@ -4,24 +4,24 @@ import dataclasses
 import functools
 import itertools
 
+import arm_patterns
 import arms
-import every
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import ikjax
-from ikjax.ik.graph import entries_of, slots_of
+from ikjax.ik.inline import entries_of, slots_of
 
 ROBOTS = {"motoman_l3": 4, "katana_6m180": 4, "vx300": 4, "so101": 2}
-NAMES = tuple(name for name in every.NAMES if name.startswith("five axes"))
+NAMES = tuple(name for name in arm_patterns.NAMES if name.startswith("five axes"))
 QUARTER = np.pi / 2
 
 
 def made(name, q):
     """An arm of the catalogue or the table, and goals made by joints on the arm as given."""
-    arm = ikjax.robots.get(name) if name in ROBOTS else every.build(name)
+    arm = ikjax.robots.get(name) if name in ROBOTS else arm_patterns.build(name)
     return arm, np.array(ikjax.fk(arm, q))
 
 
@@ -135,14 +135,14 @@ SINGULAR = tuple(itertools.product((False, True), (False, True), (None, 0.0, np.
 @functools.cache
 def ladders(name):
     """Goals of all ladders to the singularities of an arm."""
-    arm = every.build(name)
+    arm = arm_patterns.build(name)
     q = np.concatenate([on_the_ladder(arm, *how, seed) for seed, how in enumerate(SINGULAR)])
     return arms.numpy_fk(arm, q)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_goal_on_the_ladders_to_the_singularities_is_answered(name, costly_dtype):
-    arm, goals = every.build(name), ladders(name)
+    arm, goals = arm_patterns.build(name), ladders(name)
     sol = arms.solve_by_hand(arm, goals, dtype=costly_dtype)
     for field in ("q", "margin", "position_error", "rotation_error"):
         assert np.isfinite(getattr(sol, field)).all(), field
@@ -168,7 +168,7 @@ def test_both_answers_beside_full_stretch_are_found_on_an_arm_whose_axes_are_not
 
 
 def test_joint_1_follows_q_now_where_the_roll_axis_is_axis_1():
-    arm = every.build("five axes")
+    arm = arm_patterns.build("five axes")
     q = np.array([[0.7, -QUARTER, 0.0, QUARTER, 0.4]])
     now = np.full((1, 5), 0.3)
     sol = arms.solve_by_hand(arm, arms.numpy_fk(arm, q), now)
@@ -207,7 +207,7 @@ def test_a_bad_goal_leaves_its_neighbours_as_they_are():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_slopes_are_finite_at_each_singularity(name):
-    arm = every.build(name)
+    arm = arm_patterns.build(name)
     goals = jnp.asarray(ladders(name)[::25])
 
     def total(goals):

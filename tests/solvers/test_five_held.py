@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import ikjax
-from ikjax.ik.starts import at_limits
+from ikjax.ik.multistart import at_limits
 
 KATANA = ikjax.robots.katana_6m180()
 LIMITED_L3 = dataclasses.replace(ikjax.robots.motoman_l3(), limits=jnp.array([[-2.0, 1.5]] * 5))

@@ -2,8 +2,8 @@
 
 import dataclasses
 
+import arm_patterns
 import arms
-import every
 import numpy as np
 import pytest
 
@@ -52,7 +52,7 @@ EVERY |= {"five_axis": "five axes, lateral"}
 @pytest.mark.long
 @pytest.mark.parametrize("family", EVERY)
 def test_a_million_goals_of_every_other_family(family, dtype, capsys):
-    arm = every.build(EVERY[family])
+    arm = arm_patterns.build(EVERY[family])
     exact = dtype == np.float64
     eps = np.finfo(dtype).eps
     bound = arms.TOLERANCE[np.dtype(dtype).name] + 40 * eps
@@ -62,19 +62,19 @@ def test_a_million_goals_of_every_other_family(family, dtype, capsys):
     assert arm.family == family
     wrong = none = missing = 0
     for part in range(COUNT // BATCH):
-        q = every.joints(arm, BATCH, seed=100 + part)
+        q = arm_patterns.joints(arm, BATCH, seed=100 + part)
         goals = arms.numpy_fk(arm, q)
         sol = ikjax.solve(arm, goals.astype(dtype))
         sol = ikjax.Solutions(**{k: np.asarray(v) for k, v in vars(sol).items()})
         sol = dataclasses.replace(sol, q=sol.q.astype(np.float64))
         goals = goals.astype(dtype).astype(np.float64)
-        gap, turn = every.errors(arm, sol.q, goals[:, None])
+        gap, turn = arm_patterns.errors(arm, sol.q, goals[:, None])
         size = arms.reach(arm) + np.linalg.norm(goals[:, :3, 3], axis=-1)[:, None]
         wrong += int((sol.valid & ((gap > bound * size) | (turn > bound))).sum())
         none += int((~sol.valid.any(-1)).sum())
         off = np.abs(sol.q - q[:, None])
         off = np.where([kind == "R" for kind in arm.kinds], np.abs(arms.wrapped(off)), off).max(-1)
-        least = every.sigma_min(arm, q)
+        least = arm_patterns.sigma_min(arm, q)
         near = np.where(sol.valid, off, np.inf).min(-1)
         allowed = np.minimum(close / np.maximum(least, 1e-300), root)
         missing += int(((near > allowed) & (least > regular)).sum())

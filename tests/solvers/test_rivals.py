@@ -1,7 +1,7 @@
 """The same set of answers as ssik and OPW find, wherever they solve the arm."""
 
+import arm_patterns
 import arms
-import every
 import numpy as np
 import peers
 import pytest
@@ -21,7 +21,7 @@ def _same(arm, sol, answers):
     compared = 0
     for i, theirs in enumerate(answers):
         ours = sol.q[i][sol.valid[i]]
-        if every.sigma_min(arm, np.concatenate([ours, theirs])).min() < 1e-3:
+        if arm_patterns.sigma_min(arm, np.concatenate([ours, theirs])).min() < 1e-3:
             continue
         off = np.abs(arms.wrapped(ours[:, None] - theirs[None])).max(-1)
         assert off.min(1).max() < 1e-6, f"goal {i}: a slot that they do not have"

@@ -8,9 +8,9 @@ import pytest
 
 import ikjax
 from ikjax.core.trig import Angle
-from ikjax.solvers.branch import Setting
-from ikjax.solvers.planar import elbow_algebraic
-from ikjax.solvers.triangle import triangle
+from ikjax.solvers.context import Setting
+from ikjax.solvers.families.planar import elbow_algebraic
+from ikjax.solvers.steps.triangle import triangle
 
 DEG = np.pi / 180
 

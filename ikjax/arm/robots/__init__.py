@@ -1,7 +1,4 @@
-"""The catalogue: one table a robot, built by `ikjax.robots.NAME()`.
-
-Storey: arm.
-"""
+"""The catalogue: one table a robot, built by `ikjax.robots.NAME()`."""
 
 from ikjax.arm.arm import Arm
 from ikjax.arm.robots.catalogue import CATALOGUE, Entry

@@ -1,7 +1,4 @@
-"""The list in which every robot's table enters itself: its name, how to build it, its named poses.
-
-Storey: arm.
-"""
+"""The list in which every robot's table enters itself: its name, how to build it, its named poses."""
 
 from collections.abc import Callable
 from typing import NamedTuple, TypeVar

@@ -5,11 +5,11 @@ Each joint is given as in a URDF: its frame in that of the joint before [m], [ra
 
 import numpy as np
 
-from ikjax.arm import structure
 from ikjax.arm.arm import Arm
-from ikjax.arm.axes import Axes, rewritten
+from ikjax.arm.axes_to_dh import Axes, rewritten
+from ikjax.arm.recognition import recognize
 from ikjax.arm.robots.catalogue import robot
-from ikjax.arm.urdf import rotation_of
+from ikjax.arm.urdf.reader import rotation_of
 
 DEG = np.pi / 180
 QUARTER = np.pi / 2
@@ -30,7 +30,7 @@ def _placed(name: str, joints, tool, limits) -> Arm:
         along.append(frame[:3, :3] @ axis)
         points.append(frame[:3, 3])
     axes = Axes("R" * len(joints), np.array(along), np.array(points), frame @ _pose(*tool))
-    table = rewritten(axes, structure.TOLERANCE)
+    table = rewritten(axes, recognize.TOLERANCE)
     a, alpha, d, theta = (table.columns[key] for key in ("a", "alpha", "d", "theta"))
     return Arm.from_dh(
         a=a,

@@ -1,0 +1,177 @@
+"""Axes in space rewritten as a DH table, and what the table leaves out.
+
+A file or a calibration places each axis by rounded or measured numbers. Axes that are
+parallel, square or meeting within a tolerance are made so exactly in the table; the rest goes into
+one small correction after each link, so that the arm is the one that was given.
+Source: Denavit and Hartenberg's rule after Spong, Robot Modeling and Control, section 3.2.2.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Axes(NamedTuple):
+    """Where the joints' axes are at q = 0, and where the last link ends."""
+
+    kinds: str
+    along: np.ndarray
+    """(n, 3) unit directions."""
+    points: np.ndarray
+    """(n, 3) a point of each [m]."""
+    tip: np.ndarray
+    """(4, 4) the tool at q = 0."""
+
+
+class Rewritten(NamedTuple):
+    columns: dict[str, np.ndarray]
+    """Standard DH: a, alpha, d, theta."""
+    base: np.ndarray
+    tool: np.ndarray
+    correction: np.ndarray
+    """(n + 1, 6) after the base and after each link: shift [m], then rotation vector [rad]."""
+
+
+def rewritten(axes: Axes, tolerance: float) -> Rewritten:
+    """A DH table whose axes are parallel, square or meeting where those given are to the tolerance.
+
+    Axes that are parallel but for rounding meet kilometres away; they are made parallel whatever the
+    tolerance, so that the numbers of the table have the arm's own size.
+
+    Args:
+        axes: What is given.
+        tolerance: [rad], and as a share of the arm's size.
+    """
+    n = len(axes.kinds)
+    size = size_of(axes)
+    table = _first(axes)
+    exact = table
+    given = _on_axis(table, axes.along[0], axes.points[0])
+    base, corrections = table, [twist_of(np.linalg.inv(table) @ given)]
+    columns = {name: np.zeros(n) for name in ("a", "alpha", "d", "theta")}
+    for i in range(n - 1):
+        theta, d, a, alpha = _link(exact, axes, i, tolerance, size)
+        for name, value in zip(("theta", "d", "a", "alpha"), (theta, d, a, alpha), strict=True):
+            columns[name][i] = value
+        step = _dh(theta, d, a, alpha)
+        exact = exact @ step
+        following = _on_axis(exact, axes.along[i + 1], _point(axes, i + 1, exact))
+        # given_i Rz(q) step correction = given_i Rz(q) (given_i^-1 following)
+        corrections.append(twist_of(np.linalg.inv(step) @ np.linalg.inv(given) @ following))
+        given = following
+    corrections.append(np.zeros(6))
+    tool = np.linalg.inv(given) @ axes.tip
+    return Rewritten(columns, base, tool, np.stack(corrections))
+
+
+def size_of(axes: Axes) -> float:
+    """From point to nearest point of the next axis: a table may name points that are kilometres away."""
+    ends = [np.zeros(3)]
+    for along, point in zip(axes.along, axes.points, strict=True):
+        ends.append(point + ((ends[-1] - point) @ along) * along)
+    ends.append(axes.tip[:3, 3])
+    return max(float(np.linalg.norm(np.diff(ends, axis=0), axis=1).sum()), 1e-300)
+
+
+def _first(axes: Axes) -> np.ndarray:
+    """A frame on axis 1: its origin nearest to the base's, its x as near to the base's as can be."""
+    z = axes.along[0]
+    point = axes.points[0] - (axes.points[0] @ z) * z
+    x = np.eye(3)[0] if abs(z[0]) < 0.9 else np.eye(3)[1]
+    return _frame(x, z, point)
+
+
+def _frame(x: np.ndarray, z: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    x = x - (x @ z) * z
+    x = x / np.linalg.norm(x)
+    frame = np.eye(4)
+    frame[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
+    frame[:3, 3] = origin
+    return frame
+
+
+def _on_axis(near: np.ndarray, along: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """The frame on an axis that is nearest to another frame."""
+    origin = point + ((near[:3, 3] - point) @ along) * along
+    return _frame(near[:3, 0], along, origin)
+
+
+def _point(axes: Axes, i: int, exact: np.ndarray) -> np.ndarray:
+    """A point of an axis; a slide has no place of its own, so it goes where the table has it."""
+    return axes.points[i] if axes.kinds[i] == "R" else exact[:3, 3]
+
+
+FARTHEST, PARALLEL = 4, 0.03
+"""Common normals farther along an axis than so many sizes of the arm are not looked for, where the axes are
+parallel to so much [rad]; a correction can hold 0.05."""
+
+
+def _link(frame: np.ndarray, axes: Axes, i: int, tolerance: float, size: float):
+    """theta, d, a, alpha from a frame on axis i to one on axis i + 1."""
+    along, near = axes.along[i + 1], tolerance * size
+    origin, z = frame[:3, 3], frame[:3, 2]
+    point = axes.points[i + 1] if axes.kinds[i + 1] == "R" else origin
+    cross = np.cross(z, along)
+    sine, cosine = float(np.linalg.norm(cross)), float(z @ along)
+    gap = point - origin
+    far = abs(float(np.cross(gap, along) @ cross)) > FARTHEST * size * sine**2
+    if sine <= tolerance or (far and sine <= PARALLEL):
+        # Parallel: the normal is laid through the frame's own origin, to the next axis where it is near.
+        gap = gap - (gap @ along) * along
+        normal = gap - (gap @ z) * z
+        a, d = float(np.linalg.norm(normal)), 0.0
+        x = normal / a if a > near else frame[:3, 0]
+        a = a if a > near else 0.0
+        alpha = 0.0 if cosine > 0 else np.pi
+    else:
+        x = cross / sine
+        d = float(np.cross(gap, along) @ cross) / sine**2
+        a = float(gap @ x)
+        if a < 0:
+            x, a = -x, -a
+        alpha = float(np.arctan2(np.cross(z, along) @ x, cosine))
+        if abs(cosine) <= tolerance:
+            alpha = np.copysign(np.pi / 2, alpha)
+        a = a if a > near else 0.0
+        d = d if abs(d) > near else 0.0
+    theta = float(np.arctan2(x @ frame[:3, 1], x @ frame[:3, 0]))
+    if a == 0 and abs(theta) > np.pi / 2:
+        # Meeting axes have two normals; the one that turns less is easier to read.
+        theta, alpha = theta - np.copysign(np.pi, theta), -alpha
+    if axes.kinds[i] == "P":
+        quarter = np.round(theta / (np.pi / 2)) * np.pi / 2
+        theta = quarter if abs(theta - quarter) <= tolerance else theta
+    return theta, d, a, alpha
+
+
+def _dh(theta: float, d: float, a: float, alpha: float) -> np.ndarray:
+    c, s, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
+    return np.array(
+        [
+            [c, -s * ca, s * sa, a * c],
+            [s, c * ca, -c * sa, a * s],
+            [0, sa, ca, d],
+            [0, 0, 0, 1.0],
+        ]
+    )
+
+
+def small_pose(twist: np.ndarray) -> np.ndarray:
+    """(4, 4) of a shift and a rotation vector."""
+    pose, angle = np.eye(4), float(np.linalg.norm(twist[3:]))
+    x, y, z = twist[3:]
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    # sin(t) / t and (1 - cos(t)) / t^2, with their limits at zero.
+    first, second = np.sinc(angle / np.pi), np.sinc(angle / (2 * np.pi)) ** 2 / 2
+    pose[:3, :3] += first * cross + second * cross @ cross
+    pose[:3, 3] = twist[:3]
+    return pose
+
+
+def twist_of(pose: np.ndarray) -> np.ndarray:
+    """Shift and rotation vector of a pose near the identity."""
+    r = pose[:3, :3]
+    axial = np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]) / 2
+    sine = float(np.linalg.norm(axial))
+    angle = np.arctan2(sine, (np.trace(r) - 1) / 2)
+    return np.concatenate([pose[:3, 3], axial * (angle / sine if sine > 1e-12 else 1.0)])

@@ -1,0 +1,171 @@
+"""Which closed form an arm has: facts about its axes, measured once from concrete numbers."""
+
+import re
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from ikjax.arm.axes_to_dh import small_pose, twist_of
+from ikjax.arm.recognition.facts import Check, Table
+from ikjax.arm.recognition.rules import RULES, Judgement, nearly_split
+from ikjax.core.known import is_traced
+
+TOLERANCE = 1e-10
+"""How far [rad, or as a share of the reach] a fact may be off and still hold.
+
+Well below the 1e-9 that `valid` allows, so that an arm that is recognised can be solved.
+"""
+
+
+def tolerance_of(dtype) -> float:
+    """The tolerance for numbers that have been rounded to a type."""
+    return max(TOLERANCE, 8 * float(np.finfo(dtype).eps))
+
+
+class Verdict(NamedTuple):
+    family: str | None
+    signs: tuple
+    branches: tuple[str, ...]
+    task: str
+    evidence: dict[str, tuple[Check, ...]]
+    """Every family tried, with its checks, in order."""
+
+
+NONE = Verdict(None, (), (), "pose", {})
+"""No family was looked for."""
+
+
+def recognise(
+    kinds: str,
+    numbers: dict,
+    family: str | None = None,
+    up: int = 1,
+    tolerance: float = TOLERANCE,
+) -> Verdict:
+    """The first family whose facts all hold.
+
+    Args:
+        kinds: The joints.
+        numbers: Standard DH columns `a, alpha, d`, and `theta` and `tool` where they are not zero and
+            identity; lengths may be traced if `family` is given.
+        family: The only one to try.
+        up: +1 when axis 1 points up, -1 when down: what a branch calls up.
+        tolerance: How far a fact may be off.
+
+    Raises:
+        ValueError: A traced twist, a traced length without `family`, an unknown family, or a
+            named family whose facts do not hold.
+    """
+    if isinstance(numbers["alpha"], jax.core.Tracer):
+        raise ValueError(
+            "alpha must be concrete numbers when an arm is built: the family is decided from them. "
+            "Build the arm outside jit and vary it with dataclasses.replace(arm, alpha=...)"
+        )
+    traced = any(isinstance(numbers[key], jax.core.Tracer) for key in ("a", "d"))
+    if traced and family is None:
+        raise ValueError("from_dh with traced lengths needs family=, one of " + ", ".join(RULES))
+    if family is not None and family not in RULES:
+        raise ValueError(f"family must be one of {', '.join(RULES)}, got {family!r}")
+    table = _table(kinds, numbers, up, tolerance)
+    seen: dict[str, tuple[Check, ...]] = {}
+    for name, rule in RULES.items():
+        if family not in (None, name):
+            continue
+        if not re.fullmatch(rule.kinds, kinds):
+            seen[name] = (Check(f"it wants joints {rule.joints}", np.inf, False),)
+            continue
+        checks, signs, branches = rule.judge(table)
+        seen[name] = tuple(checks)
+        if all(check.holds for check in checks):
+            return Verdict(name, signs, branches, rule.task, seen)
+    if family is not None:
+        raise ValueError(f"the arm is not of family {family}: {describe(seen[family])}")
+    return Verdict(None, (), (), "pose", seen)
+
+
+def evidence(kinds: str, numbers: dict, family: str, tolerance: float) -> tuple[Check, ...]:
+    """What was checked for one family, whether it holds or not; arguments as in `recognise`."""
+    return tuple(judged(kinds, numbers, family, tolerance)[0])
+
+
+def judged(kinds: str, numbers: dict, family: str, tolerance: float) -> Judgement:
+    """What a family's rule says of a table, whether its facts hold or not; arguments as in `recognise`."""
+    return RULES[family].judge(_table(kinds, numbers, 1, tolerance))
+
+
+def split_exactly(kinds: str, leaves: dict, verdict: Verdict) -> dict:
+    """The leaves, with the number made exact that keeps the family's equation from splitting.
+
+    What is taken from it goes into the correction of its link, so the arm stays the one that was given: a
+    quartic whose roots come in pairs closer than rounding would not tell them apart.
+    """
+    if verdict.family is None or any(is_traced(leaves[key]) for key in ("a", "alpha", "d", "correction")):
+        return leaves
+    near = nearly_split(_table(kinds, leaves, 1, TOLERANCE), verdict.family)
+    if near is None:
+        return leaves
+    name, place, value = near
+    column, off = np.array(leaves[name], float), np.zeros((len(kinds) + 1, 6))
+    if leaves["correction"] is not None:
+        off = np.array(leaves["correction"], float)
+    # Tx(a) Rx(alpha) is the exact link before a small shift along x, or turn about it.
+    rest = np.zeros(6)
+    rest[0 if name == "a" else 3] = column[place] - value
+    off[place + 1] = twist_of(small_pose(rest) @ small_pose(off[place + 1]))
+    column[place] = value
+    return {**leaves, name: column, "correction": off}
+
+
+def _table(kinds: str, numbers: dict, up: int, tolerance: float) -> Table:
+    traced = any(isinstance(numbers[key], jax.core.Tracer) for key in ("a", "d"))
+    zeros = np.zeros(len(kinds))
+
+    def column(name):
+        value = numbers.get(name, zeros)
+        return zeros if isinstance(value, jax.core.Tracer) else np.asarray(value, float)
+
+    alpha = column("alpha")
+    lengths = {"a": zeros, "d": zeros} if traced else {"a": column("a"), "d": column("d")}
+    return Table(
+        kinds=kinds,
+        sin=np.sin(alpha),
+        cos=np.cos(alpha),
+        **lengths,
+        theta=column("theta"),
+        tool=_tool_point(numbers),
+        promised=traced,
+        tolerance=tolerance,
+        up=up,
+    )
+
+
+def _tool_point(numbers: dict) -> np.ndarray:
+    tool = numbers.get("tool", np.eye(4))
+    return np.zeros(3) if isinstance(tool, jax.core.Tracer) else np.asarray(tool, float)[:3, 3]
+
+
+def describe(checks: tuple[Check, ...]) -> str:
+    """What stands in the way, with its measured deviation."""
+    failed = [c for c in checks if not c.holds]
+    if len(failed) == 1 and np.isinf(failed[0].deviation):
+        return failed[0].fact
+    return "; ".join(f"{c.fact}: {c.deviation:.3g}, wanted {c.wanted}" for c in failed)
+
+
+def found(kinds: str, numbers: dict, tolerance: float = TOLERANCE) -> str:
+    """Which neighbouring axes are parallel, perpendicular and meeting, in words."""
+    alpha, a = np.asarray(numbers["alpha"], float), np.asarray(numbers["a"], float)
+    size = max(float(np.abs(a).sum() + np.abs(np.asarray(numbers["d"], float)).sum()), 1e-300)
+    words = []
+    for i in range(len(kinds) - 1):
+        pair = f"{i + 1}-{i + 2}"
+        meets = "meet" if abs(a[i]) <= tolerance * size else f"{abs(a[i]):.4g} m apart"
+        if abs(np.sin(alpha[i])) <= tolerance:
+            line = "coincide" if meets == "meet" else f"parallel, {meets}"
+        elif abs(np.cos(alpha[i])) <= tolerance:
+            line = f"perpendicular, {meets}"
+        else:
+            line = f"{np.degrees(alpha[i]):.4g} deg, {meets}"
+        words.append(f"axes {pair} {line}")
+    return "; ".join(words) if words else "one joint"

@@ -1,0 +1,337 @@
+"""The families: which facts each asks for, in the order in which an arm is tried against them.
+
+`solvers.families.FAMILIES` holds the kernel of each.
+"""
+
+import itertools
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from ikjax.arm.recognition.facts import Check, Table
+
+Judgement = tuple[list[Check], tuple, tuple[str, ...]]
+"""What was checked, what the kernel must know besides the numbers, and the names of the slots."""
+
+
+def _sign(x: float) -> int:
+    return -1 if x < 0 else 1
+
+
+def _slots(*bits: tuple[str, str]) -> tuple[str, ...]:
+    """Names of the slots: bit k of the slot's number picks from the k-th pair."""
+    return tuple(
+        "/".join(pair[slot >> k & 1] for k, pair in enumerate(bits)) for slot in range(2 ** len(bits))
+    )
+
+
+SHOULDER, ELBOW, WRIST = ("front", "back"), ("up", "down"), ("noflip", "flip")
+
+
+def _spherical_wrist(t: Table) -> list[Check]:
+    return [
+        t.zero("a", 4, "axes 4 and 5 meet"),
+        t.zero("a", 5, "axes 5 and 6 meet"),
+        t.zero("d", 5, "axes 4, 5 and 6 meet in one point"),
+        t.not_parallel(4),
+        t.not_parallel(5),
+    ]
+
+
+def _wrist_signs(t: Table) -> tuple[int, ...]:
+    square = int(max(abs(t.cos[3]), abs(t.cos[4])) <= t.tolerance)
+    return _sign(t.sin[3]), _sign(t.sin[4]), square
+
+
+def _ortho_parallel_wrist(t: Table) -> Judgement:
+    checks = [
+        t.perpendicular(1),
+        t.parallel(2),
+        *_spherical_wrist(t),
+        t.apart("axes 2 and 3 apart", t.a[1]),
+        t.apart("the wrist stands off axis 3", np.hypot(t.a[2], t.d[3] * t.sin[2])),
+    ]
+    signs = (t.up, *map(_sign, (t.sin[0], t.cos[1])), *_wrist_signs(t))
+    return checks, signs, _slots(SHOULDER, ELBOW, WRIST)
+
+
+def _three_parallel(t: Table) -> Judgement:
+    checks = [
+        t.perpendicular(1),
+        t.parallel(2),
+        t.parallel(3),
+        t.perpendicular(4),
+        t.perpendicular(5),
+        t.zero("a", 5, "axes 5 and 6 meet"),
+        t.apart("axes 2 and 3 apart", t.a[1]),
+        t.apart("axes 3 and 4 apart", t.a[2]),
+    ]
+    signs = (t.up, *map(_sign, (t.sin[0], t.cos[1], t.cos[2], t.sin[3], t.sin[4])))
+    return checks, signs, _slots(SHOULDER, ELBOW, WRIST)
+
+
+def _pieper(t: Table) -> Judgement:
+    point = np.array([0.0, 0.0, t.d[3]])
+    how = _split(t)
+    checks = [*_spherical_wrist(t), t.moves_in_space(point)]
+    return checks, (how, *_wrist_signs(t)), _slots(*_regional_bits(t.kinds, how), WRIST)
+
+
+def _from_the_tool(t: Table) -> Table:
+    """The table of six joints read from the tool to the base."""
+    order = np.arange(5)[::-1]
+    return t._replace(
+        kinds=t.kinds[::-1],
+        sin=np.append(-t.sin[order], 0.0),
+        cos=np.append(t.cos[order], 1.0),
+        a=np.append(-t.a[order], 0.0),
+        d=np.append(t.d[:0:-1], 0.0),
+        theta=t.theta[::-1],
+    )
+
+
+def _pieper_reversed(t: Table) -> Judgement:
+    checks, signs, names = _pieper(_from_the_tool(t))
+    return [c._replace(fact=f"read from the tool to the base: {c.fact}") for c in checks], signs, names
+
+
+def _position(t: Table) -> Judgement:
+    how = _split(t)
+    checks = [t.moves_in_space(t.tool)]
+    return checks, (how,), _slots(*_regional_bits(t.kinds, how))
+
+
+SPLITS = {"regional": 3e-4, "parallel_axes": 1e-5}
+NEARLY = {"nearly": 3e-4, "nearly in float32": 0.03}
+"""Equations that are off by less than `SPLITS` from one that splits, in shares of the size or sines, are
+solved from the split one, those off by less than `NEARLY` with care for close pairs of roots. Measured on
+2,000 goals an arm: the quartic alone leaves goals unanswered below 1e-4 in float64, 3e-2 in float32."""
+
+
+def _deviations(t: Table) -> dict[str, float]:
+    """How far the equation that is left for joint 3 is from each form in which it splits."""
+    kinds = t.kinds[:2]
+    if kinds == "RR":
+        meet = {} if t.promised else {"meet": float(abs(t.a[0])) / t.size}
+        return {**meet, "parallel": float(abs(t.sin[0]))}
+    return {"slides": 0.0} if kinds == "PP" else {"square": float(abs(t.cos[0]))}
+
+
+def _split(t: Table) -> str:
+    """How the equation that is left for joint 3 splits: see `solvers.steps.regional.three_joints`."""
+    deviations = _deviations(t)
+    for how, off in deviations.items():
+        if off <= t.tolerance:
+            return how
+    how = min(deviations, key=lambda key: deviations[key])
+    return f"nearly {how}" if deviations[how] <= NEARLY["nearly in float32"] else ""
+
+
+def nearly_split(t: Table, family: str) -> tuple[str, int, float] | None:
+    """The number of the table that keeps an equation from splitting by next to nothing: its column, its
+    place, and the value at which it does split."""
+    if family not in ("pieper", "pieper_reversed", "position"):
+        return None
+    place = 4 if family == "pieper_reversed" else 0
+    deviations = _deviations(_from_the_tool(t) if place else t)
+    how = min(deviations, key=lambda key: deviations[key])
+    if not t.tolerance < deviations[how] <= SPLITS["regional"]:
+        return None
+    if how == "meet":
+        return "a", place, 0.0
+    quarter = float(np.round(np.arctan2(t.sin[place], t.cos[place]) / (np.pi / 2)))
+    return "alpha", place, quarter * np.pi / 2
+
+
+def _regional_bits(kinds: str, how: str) -> list[tuple[str, str]]:
+    second, third = ("j2+", "j2-"), ("j3+", "j3-")
+    turning = kinds[2] == "R"
+    if how == "" or how.startswith("nearly"):
+        quartic = turning or kinds[:2] == "RR"
+        return [("rising", "falling"), ("low", "high")] if quartic else [third]
+    if how == "slides":
+        return [third] if turning else []
+    return [second, third] if turning or how == "meet" else [second]
+
+
+def _along(t: Table, which: list[int]) -> tuple[int, ...]:
+    """Signs of axes, counted from 0, against the first of them."""
+    along, _ = t.axes()
+    return tuple(_sign(float(along[i] @ along[which[0]])) for i in which)
+
+
+def _parallel_axes(t: Table) -> Judgement:
+    """Three in a row; the place where they are nearest to parallel is the one that is reported."""
+    rows = {place: list(range(place - 1, place + 2)) for place in (2, 3, 4, 1)}
+    place = min(rows, key=lambda p: t.all_parallel(rows[p]).deviation)
+    which = rows[place]
+    along, points = t.axes()
+    checks = [t.all_parallel(which), t.moves_freely()]
+    for i in which[:2]:
+        between = points[i + 1] - points[i]
+        apart = float(np.linalg.norm(np.cross(along[which[0]], between)))
+        checks.append(t.apart(f"axes {i + 1} and {i + 2} apart", apart))
+    off = _proportional(place, along, points) / t.size
+    bounds = {"exactly": t.tolerance, "within 1e-5": SPLITS["parallel_axes"], **NEARLY}
+    splits = next((how for how, most in bounds.items() if off <= most), "")
+    pairs = [("rising", "falling"), ("low", "high")]
+    if splits in ("exactly", "within 1e-5"):
+        pairs = [("b+", "b-"), ("a+", "a-")]
+    return checks, (place, splits, *_along(t, which)), _slots(("left", "right"), *pairs)
+
+
+def _proportional(place: int, along: np.ndarray, points: np.ndarray) -> float:
+    """Determinant of the coefficients of joint B in `solvers.families.parallel_axes`."""
+    if place in (1, 3):
+        along, points = along[::-1], points[::-1]
+    if place in (2, 3):
+        h, axis = along[1], along[4]
+        rows = [(h, along[5]), (h, points[5] - points[4])]
+    else:
+        axis = along[2]
+        rows = [(along[1], along[3]), (points[2] - points[1], along[3])]
+    coefficients = [(u @ v - (u @ axis) * (axis @ v), u @ np.cross(axis, v)) for u, v in rows]
+    return abs(float(np.linalg.det(np.array(coefficients))))
+
+
+def _scara(t: Table) -> Judgement:
+    turning = [i for i, kind in enumerate(t.kinds) if kind == "R"]
+    along, points = t.axes()
+    checks = [t.all_parallel([0, 1, 2, 3])]
+    for i, j in itertools.pairwise(turning):
+        apart = float(np.linalg.norm(np.cross(along[0], points[j] - points[i])))
+        checks.append(t.apart(f"axes {i + 1} and {j + 1} apart", apart))
+    signs = tuple(_sign(float(a @ along[turning[0]])) for a in along)
+    return checks, signs, _slots(("left", "right"))
+
+
+def _turret(t: Table) -> Judgement:
+    along, points = t.axes()
+    checks = [t.not_parallel(1), t.all_parallel([1, 2, 3])]
+    for i in (1, 2):
+        apart = float(np.linalg.norm(np.cross(along[1], points[i + 1] - points[i])))
+        checks.append(t.apart(f"axes {i + 1} and {i + 2} apart", apart))
+    return checks, _along(t, [1, 2, 3]), _slots(("left", "right"))
+
+
+def _five_axis(t: Table) -> Judgement:
+    checks = [
+        t.not_parallel(1),
+        t.parallel(2),
+        t.parallel(3),
+        t.not_parallel(4),
+        t.apart("axes 2 and 3 apart", t.a[1]),
+        t.apart("axes 3 and 4 apart", t.a[2]),
+    ]
+    signs = (t.up, *map(_sign, (t.sin[0], t.cos[1], t.cos[2], t.sin[3])))
+    return checks, signs, _slots(SHOULDER, ELBOW)
+
+
+def _planar(t: Table) -> Judgement:
+    along, points = t.axes()
+    turning = [i for i, kind in enumerate(t.kinds) if kind == "R"]
+    up = along[turning[0]] if turning else np.cross(along[0], along[1])
+    checks = [t.all_parallel(turning)] if turning else []
+    for i, kind in enumerate(t.kinds):
+        if kind == "P":
+            off = abs(float(along[i] @ up))
+            fact = f"slide {i + 1} within the plane of the turning axes"
+            checks.append(Check(fact, off, off <= t.tolerance, t.at_most))
+    tip = (t.frames(-np.where(t.turns, t.theta, 0.0))[-1] @ np.append(t.tool, 1))[:3]
+    ends = [*points, tip]
+    for i in range(2):
+        # A link between two turns, or from the last turn to the point, must have a length.
+        if (t.kinds + "R")[i : i + 2] == "RR":
+            apart = float(np.linalg.norm(np.cross(up, ends[i + 1] - ends[i])))
+            checks.append(t.apart(f"axis {i + 1} and what follows it apart", apart))
+    slides = [along[i] for i, kind in enumerate(t.kinds) if kind == "P"]
+    if len(slides) == 2 and t.kinds != "PRP":
+        off = float(np.linalg.norm(np.cross(*slides)))
+        checks.append(Check("the slides in different directions, sine", off, off > 1e-3, "> 0.001"))
+    pair = ("left", "right") if t.kinds in ("RR", "RRR") else ("long", "short")
+    bits = [pair] if len(slides) < 2 else []
+    return checks, tuple(_sign(float(a @ up)) for a in along), _slots(*bits)
+
+
+class Rule(NamedTuple):
+    kinds: str
+    """The joints, as a regular expression."""
+    joints: str
+    """The same in words."""
+    judge: Callable[[Table], Judgement]
+    summary: str
+    task: str = "pose"
+
+
+RULES = {
+    "ortho_parallel_wrist": Rule(
+        "RRRRRR",
+        "RRRRRR",
+        _ortho_parallel_wrist,
+        "axis 1 perpendicular to 2, axis 2 parallel to 3, the last three axes meeting in a point",
+    ),
+    "three_parallel": Rule(
+        "RRRRRR",
+        "RRRRRR",
+        _three_parallel,
+        "axis 1 perpendicular to 2, axes 2, 3 and 4 parallel, 5 perpendicular to 4, 6 meeting 5 squarely",
+    ),
+    "pieper": Rule(
+        "[RP]{3}RRR",
+        "R or P three times, then RRR",
+        _pieper,
+        "the last three axes meeting in a point, after any three joints",
+    ),
+    "pieper_reversed": Rule(
+        "RRR[RP]{3}",
+        "RRR, then R or P three times",
+        _pieper_reversed,
+        "the first three axes meeting in a point, before any three joints",
+    ),
+    "parallel_axes": Rule(
+        "RRRRRR",
+        "RRRRRR",
+        _parallel_axes,
+        "three consecutive axes parallel, the others anyhow",
+    ),
+    "scara": Rule(
+        "RRPR|RRRP|PRRR|RPRR",
+        "RRR with a P among them",
+        _scara,
+        "four parallel axes, one of them sliding",
+    ),
+    "five_axis": Rule(
+        "RRRRR",
+        "RRRRR",
+        _five_axis,
+        "axes 2, 3 and 4 parallel, axes 1 and 5 anyhow",
+    ),
+    "turret": Rule(
+        "RRRR",
+        "RRRR",
+        _turret,
+        "a turning base before three parallel axes",
+    ),
+    "planar_pose": Rule(
+        "(?=.*R)[RP]{3}",
+        "R or P three times, one R at least",
+        _planar,
+        "three joints that move in one plane",
+        task="planar_pose",
+    ),
+    "planar_position": Rule(
+        "[RP]{2}",
+        "R or P twice",
+        _planar,
+        "two joints that move in one plane",
+        task="planar_position",
+    ),
+    "position": Rule(
+        "[RP]{3}",
+        "R or P three times",
+        _position,
+        "any three joints that move the tool point in space",
+        task="position",
+    ),
+}

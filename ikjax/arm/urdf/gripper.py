@@ -1,0 +1,66 @@
+"""Joints at the end of a chain that look like a gripper's: by their names, or by how they open.
+
+A guess, for a warning only.
+"""
+
+import math
+import re
+from collections.abc import Sequence
+from typing import NamedTuple
+
+_FINGER = re.compile(r"jaw|finger|claw|knuckle|thumb|pinc|tong(?!ue)")
+_HAND = re.compile(r"grip|hand(?!le|rail)")
+# The joint that carries a gripper, and links that do not move against it.
+_CARRIER = re.compile(r"wrist|roll|pitch|yaw|rotat|twist|flex|ankle|foot|fixed|static|base|palm|mount")
+
+_OPENS = math.radians(150), 0.2
+"""A gripper turns or slides by less [rad, m]."""
+
+_SLIDES = 0.1
+"""So does a finger without a telling name, which slides [m] at the end of five joints or more."""
+
+_ENOUGH = 5
+
+
+class Moved(NamedTuple):
+    """A moving joint and the link that it moves."""
+
+    joint: str
+    link: str
+    kind: str
+    """ "R" or "P"."""
+    lower: float
+    upper: float
+
+    @property
+    def travel(self) -> float:
+        return self.upper - self.lower
+
+
+def gripper(chain: Sequence[Moved]) -> int:
+    """How many joints at the end are probably a gripper's; never all."""
+    count = 0
+    while count < len(chain) and _is_named(chain[-1 - count]):
+        count += 1
+    if count == 0 and len(chain) >= _ENOUGH and _opens(chain[-1]):
+        count = 1
+    return count if count < len(chain) else 0
+
+
+def _is_named(moved: Moved) -> bool:
+    # What a joint is called by both its links, it is of the second.
+    joint, link = moved.joint.lower().rpartition("_to_")[2], moved.link.lower()
+    if _CARRIER.search(joint):
+        return False
+    named = _FINGER.search(joint) or (_FINGER.search(link) and not _CARRIER.search(link))
+    return bool(named or (_HAND.search(joint) and moved.travel < _OPENS[moved.kind == "P"]))
+
+
+def _opens(moved: Moved) -> bool:
+    """From closed at about zero to one side, as no wrist does."""
+    if _CARRIER.search(f"{moved.joint} {moved.link}".lower()):
+        return False
+    if moved.kind == "P":
+        return 0 < moved.travel <= _SLIDES
+    nearer = min(abs(moved.lower), abs(moved.upper))
+    return 0 < moved.travel < _OPENS[0] and nearer <= 0.15 * moved.travel

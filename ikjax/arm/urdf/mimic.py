@@ -1,0 +1,88 @@
+"""Joints that one motor drives together, rewritten as one joint a motor where that is exact.
+
+Parallel axes in a row add up: a link turns by the sum of the angles up to it, whatever
+stands between, so links that turn by one sum can be laid end to end, in any order, and need one joint.
+A parallelogram, which keeps the tool level, is the usual case: there the sum is the first joint's angle.
+"""
+
+import numpy as np
+
+from ikjax.arm.axes_to_dh import Axes
+
+PARALLEL = 1e-6
+"""[rad] Axes that are parallel to so much add up; the links are placed as if they were exactly."""
+
+Joint = tuple[np.ndarray, np.ndarray]
+"""A point of its axis, and its row."""
+
+
+def one_joint_a_motor(given: Axes, rows: np.ndarray) -> tuple[Axes, np.ndarray]:
+    """The same motion with parallel neighbours combined.
+
+    Args:
+        given: The joints' axes.
+        rows: (joints, motors) from motor values to joint values.
+
+    Returns:
+        The axes, with as few joints as the rule finds, and their rows. The caller looks whether these
+        are as many as the motors.
+    """
+    kinds, along, found = "", [], []
+    for first, last in _runs(given):
+        part = slice(first, last)
+        joints = list(zip(given.points[part], rows[part], strict=True))
+        ways = [*given.along[part]]
+        if len(joints) > rows[part].any(0).sum():
+            signs = np.sign(given.along[part] @ ways[0])[:, None]
+            combine = _slides if given.kinds[first] == "P" else _turns
+            fewer = combine(given.points[part], signs * rows[part], ways[0])
+            if len(fewer) < len(joints):
+                joints, ways = fewer, [ways[0]] * len(fewer)
+        kinds += given.kinds[first] * len(joints)
+        along += ways
+        found += joints
+    points, combined = ([joint[k] for joint in found] for k in (0, 1))
+    return Axes(kinds, np.array(along), np.array(points), given.tip), np.array(combined)
+
+
+def _runs(given: Axes) -> list[tuple[int, int]]:
+    """First and one past the last of the joints in a row that are of one kind and parallel."""
+    runs: list[tuple[int, int]] = []
+    for i, kind in enumerate(given.kinds):
+        start = runs[-1][0] if runs else -1
+        same = runs and given.kinds[start] == kind
+        if same and np.linalg.norm(np.cross(given.along[start], given.along[i])) <= PARALLEL:
+            runs[-1] = start, i + 1
+        else:
+            runs.append((i, i + 1))
+    return runs
+
+
+def _slides(points: np.ndarray, rows: np.ndarray, axis: np.ndarray) -> list[Joint]:
+    """One slide for each motor among them."""
+    total = rows.sum(0)
+    return [(points[0], np.where(np.arange(len(total)) == k, total, 0)) for k in np.flatnonzero(total)]
+
+
+def _turns(points: np.ndarray, rows: np.ndarray, axis: np.ndarray) -> list[Joint]:
+    """One turn for each sum of angles that a link turns by; the sum of the last link comes last."""
+    sums = np.cumsum(rows, axis=0)
+    names = [tuple(total.round(12) + 0.0) for total in sums]
+    exact = dict(zip(names, sums, strict=True))
+    steps = {name: np.zeros(3) for name in names}
+    for name, step in zip(names, np.diff(points, axis=0), strict=False):
+        steps[name] += step
+    end, still = names[-1], tuple(np.zeros(len(rows[0])))
+    # What never turns shifts all that comes after it; what has no length turns nothing.
+    at = points[0] + steps.pop(still, np.zeros(3))
+    least = 1e-12 * float(np.abs(points).max())
+    order = [name for name, step in steps.items() if name != end and _length(axis, step) > least]
+    before, found = np.zeros(len(still)), []
+    for name in [*order, end] if order or end != still else []:
+        found.append((at, exact[name] - before))
+        at, before = at + steps.get(name, np.zeros(3)), exact[name]
+    return found
+
+
+def _length(axis: np.ndarray, step: np.ndarray) -> float:
+    return float(np.linalg.norm(np.cross(axis, step)))

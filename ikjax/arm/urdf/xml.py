@@ -1,0 +1,198 @@
+"""XML from anywhere as a tree of the elements that a robot's kinematics are made of.
+
+Sizes are bounded, nothing is fetched, and what is not plain XML is refused with file,
+line, element and reason.
+Source: the XML specification, w3.org/TR/xml; defusedxml for the attacks.
+"""
+
+import os
+import re
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
+from xml.sax import SAXParseException
+from xml.sax.handler import ContentHandler
+
+MAX_BYTES = 16 * 2**20
+MAX_ELEMENTS = 100_000
+MAX_DEPTH = 64
+PIECE = 2**18
+XINCLUDE = "http://www.w3.org/2001/XInclude"
+XACRO_DEFINES = ("property", "arg", "macro")
+"""Elements of xacro that change nothing where nothing uses them."""
+_DECLARED = re.compile(r"<\?xml\s[^>]*?\bencoding\s*=\s*[\"']([^\"']*)")
+
+
+class ArmFileError(ValueError):
+    """A file that does not describe an arm: where, which element, and why."""
+
+
+def show(text: str, most: int | None = 80) -> str:
+    """Safe to print: no control characters, no endless lines."""
+    return repr(text if most is None or len(text) <= most else text[:most] + "...")[1:-1]
+
+
+def quote(text: str) -> str:
+    return '"' + show(text).replace('"', '\\"') + '"'
+
+
+def listing(names: Iterable[str]) -> str:
+    names = list(names)
+    return ", ".join(names[:12]) + ", ..." * (len(names) > 12)
+
+
+def file_error(file: str, line: int, label: str, reason: str) -> ArmFileError:
+    # Of a path the end counts.
+    place = show(file, None) + (f":{line}" if line else "")
+    return ArmFileError(": ".join(part for part in (place, label, reason) if part))
+
+
+class Element(NamedTuple):
+    file: str
+    line: int
+    label: str
+    """What messages call it: inside a link or joint, that link or joint."""
+    tag: str
+    attributes: dict[str, str]
+    children: dict[str, "Element"]
+
+    def error(self, reason: str) -> ArmFileError:
+        return file_error(self.file, self.line, self.label, reason)
+
+    def required(self, key: str) -> str:
+        text = self.attributes.get(key)
+        if not text:
+            raise self.error(f"<{show(self.tag)}> needs a {key}")
+        if is_xacro(text):
+            raise self.error(f"{key} of <{show(self.tag)}> is {quote(text)}: expand xacro first")
+        return text
+
+
+def is_xacro(text: str) -> bool:
+    """Whether an attribute holds what xacro would replace."""
+    return "${" in text or "$(" in text
+
+
+def load(source: str | bytes | os.PathLike) -> tuple[str, str]:
+    """The file's name and its text."""
+    if isinstance(source, bytes):
+        return "<string>", _decode("<string>", source)
+    if isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<"):
+        # Half a surrogate pair passes here, to be refused like any other broken UTF-8.
+        return "<string>", _decode("<string>", source.encode("utf-8", "surrogatepass"))
+    name = os.fsdecode(source)
+    with open(name, "rb") as file:
+        return name, _decode(name, file.read(MAX_BYTES + 1))
+
+
+def _decode(file: str, data: bytes) -> str:
+    if len(data) > MAX_BYTES:
+        raise file_error(file, 0, "", f"the file is larger than {MAX_BYTES >> 20} MB")
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise file_error(file, line, "", f"the file must be UTF-8, byte {error.start} is not") from None
+    before, zero, _ = text.partition("\0")
+    if zero:
+        raise file_error(file, before.count("\n") + 1, "", "the file must be UTF-8 text, it holds a NUL byte")
+    declared = _DECLARED.match(text)
+    if declared and declared[1].lower() not in ("utf-8", "utf8"):
+        raise file_error(file, 1, "", f"the file must be UTF-8, it says {quote(declared[1])}")
+    return text
+
+
+class _Collector(ContentHandler):
+    """Takes the parser's events, counts them, and keeps links and joints: no deep tree to recurse in."""
+
+    robot: Element
+    space: str
+    """The robot's namespace."""
+
+    def __init__(self, file: str, line: Callable[[], int]):
+        self.file, self.line, self.count = file, line, 0
+        self.open: list[Element] = []
+        self.named: dict[str, dict[str, Element]] = {"link": {}, "joint": {}}
+
+    def startElement(self, tag: str, attrs) -> None:
+        depth, attributes = len(self.open), dict(attrs.items())
+        name = f" name={quote(attributes['name'])}" if "name" in attributes else ""
+        label = self.open[1].label if depth > 1 else f"<{show(tag)}{name}>"
+        element = Element(self.file, self.line(), label, tag, attributes, {})
+        self.open.append(element)
+        space = self._check(element)
+        if depth == 0:
+            self.robot, self.space = element, space
+        elif space != self.space:
+            pass  # of another namespace, which the kinematics do not use
+        elif depth == 1 and tag in self.named:
+            # A joint off the chain may have no name, and is found by its place.
+            nameless = tag == "joint" and not attributes.get("name")
+            key = f"\0{self.count}" if nameless else element.required("name")
+            self._keep(self.named[tag], key, element)
+        elif depth == 2 and self.open[1].tag == "joint":
+            self._keep(self.open[1].children, tag, element)
+
+    def endElement(self, tag: str) -> None:
+        self.open.pop()
+
+    def _keep(self, found: dict[str, Element], key: str, element: Element) -> None:
+        first = found.setdefault(key, element)
+        if first is not element:
+            raise element.error(f"duplicate <{show(element.tag)}>, the first is on line {first.line}")
+
+    def _check(self, element: Element) -> str:
+        """The element's namespace, if it may stand where it does."""
+        self.count += 1
+        if self.count > MAX_ELEMENTS:
+            raise element.error(f"the file holds more than {MAX_ELEMENTS} elements")
+        if len(self.open) > MAX_DEPTH:
+            raise element.error(f"elements are nested deeper than {MAX_DEPTH}")
+        prefix, colon, name = element.tag.rpartition(":")
+        space = self._space("xmlns" + colon + prefix)
+        if space == XINCLUDE or element.tag == "xi:include":
+            raise element.error("XInclude is refused: nothing is fetched")
+        # Old xacro files include others without a prefix.
+        old = len(self.open) == 2 and element.tag == "include"
+        xacro = prefix == "xacro" or space.endswith("/xacro")
+        if old or (xacro and self._is_kinematic(name)):
+            raise element.error(f"<{show(element.tag)}> is not URDF: expand xacro first")
+        if len(self.open) == 1 and element.tag != "robot":
+            raise element.error("the root element must be <robot>")
+        return space
+
+    def _is_kinematic(self, name: str) -> bool:
+        """Whether an element of xacro may change links and joints.
+
+        A definition does not, nor does what stands inside of one, or inside of anything but a joint.
+        """
+        robot_or_joint = len(self.open) <= 2 or self.open[1].tag == "joint"
+        return robot_or_joint and (name not in XACRO_DEFINES or len(self.open) == 1)
+
+    def _space(self, key: str) -> str:
+        """The namespace that a prefix stands for here."""
+        # Looked up here, because a parser that does it copies a long name for every attribute.
+        return next((x.attributes[key] for x in reversed(self.open) if key in x.attributes), "")
+
+
+def parse(file: str, text: str) -> tuple[Element, dict[str, Element], dict[str, Element]]:
+    """The root element, the links and the joints."""
+    try:
+        from defusedxml.common import DefusedXmlException
+        from defusedxml.expatreader import DefusedExpatParser
+    except ImportError as error:
+        raise ImportError('reading a URDF file needs defusedxml: pip install "ikjax[urdf]"') from error
+    parser = DefusedExpatParser(forbid_dtd=True)
+    collector = _Collector(file, parser.getLineNumber)
+    parser.setContentHandler(collector)
+    try:
+        # In pieces, because after a refusal the parser still runs to the end of what it was given.
+        for start in range(0, len(text) + 1, PIECE):
+            parser.feed(text[start : start + PIECE])
+        parser.close()
+    except SAXParseException as error:
+        label = collector.open[-1].label if collector.open else ""
+        raise file_error(file, parser.getLineNumber(), label, f"broken XML: {error.getMessage()}") from None
+    except DefusedXmlException:
+        line = text.count("\n", 0, text.index("<!DOCTYPE")) + 1
+        raise file_error(file, line, "", "a DTD, and entities with it, is refused") from None
+    return collector.robot, collector.named["link"], collector.named["joint"]

@@ -1,0 +1,86 @@
+"""What a lane of a sweep's loop sees of a goal, and what a lane is."""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from ikjax.arm.arm import Arm
+from ikjax.core.pose import Pose
+from ikjax.maps.kernel.doubt import any_doubtful
+from ikjax.maps.kernel.flags import within
+from ikjax.solvers.context import in_bits
+from ikjax.solvers.pipeline import Slot
+
+GROUP = 32
+"""Goals that are added up in 32 bits before anything else happens to them."""
+
+
+DOUBT = "doubt"
+"""The lane of doubtful goals."""
+
+
+class Goal(NamedTuple):
+    """What a lane sees: arrays (positions, orientations) in the place of scalars."""
+
+    arm: Arm
+    slots: tuple[Slot, ...]
+    hold: Callable[[Any], Any]
+    """Keeps a value from being computed again; see `ik.inline`."""
+    shape: tuple[int, int]
+    kept: dict[Any, Any]
+    """What several lanes look at and was made already."""
+    pose: Pose | None = None
+    """T_world_tool, for what looks at more than solutions."""
+
+    def flags(self, inside: bool) -> list[jax.Array]:
+        """Which slots count."""
+        if inside in self.kept:
+            return self.kept[inside]
+        if not inside:
+            return [slot.valid for slot in self.slots]
+        return [slot.valid & within(self.arm, slot) for slot in self.slots]
+
+    def doubt(self) -> jax.Array:
+        """Whether another rounding may make other flags."""
+        if DOUBT not in self.kept:
+            self.kept[DOUBT] = any_doubtful(self.arm, self.slots)
+        return self.kept[DOUBT]
+
+    def coded(self, kinds: Sequence[bool], doubt: bool) -> "Goal":
+        """The same goal, with its flags read from one number that is made once.
+
+        Args:
+            kinds: Which flags: without limits, within them.
+            doubt: Whether doubts are read too.
+        """
+        flags = [flag for inside in kinds for flag in self.flags(inside)]
+        flags += [self.doubt()] if doubt else []
+        dtype = self.slots[0].margin.dtype
+        code = self.hold(jnp.broadcast_to(in_bits(flags, dtype), self.shape)).astype(jnp.int32)
+        read = [(code >> k & 1) == 1 for k in range(len(flags))]
+        count = len(self.slots)
+        parts = {inside: read[k * count : (k + 1) * count] for k, inside in enumerate(kinds)}
+        return self._replace(kept={**self.kept, **parts, **({DOUBT: read[-1]} if doubt else {})})
+
+
+class Lane(NamedTuple):
+    """One number of every goal on its way into a statistic."""
+
+    reduce: str
+    """"count" (whole numbers, several of which share a word), "sum" (whole numbers), "max", "min", "bits"."""
+    value: Callable[[Goal], jax.Array]
+    most: int = 1
+    """Of a count: the greatest number of one goal."""
+    inside: bool = False
+    """Of a count or bits: which flags it looks at."""
+    any_roll: bool = False
+    """Of a count: over free rolls it is a yes or no, and not a sum."""
+    held: bool = False
+    """Needs joints, not only masks: the kernel keeps its values instead of computing them again."""
+
+    @property
+    def added(self) -> bool:
+        """Whether a goal's number can be taken out of the total again."""
+        return self.reduce in ("count", "sum", "bits")

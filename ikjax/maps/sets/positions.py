@@ -1,0 +1,188 @@
+"""Where a sweep looks: box grids and spherical shells of positions.
+
+A set of positions has a shape, and a position is a function of its whole-number place in
+it; `at` is written once for numpy and for jax (`xp`), so that the kernel makes in its jit what a map says on
+the host.
+"""
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+
+from ikjax.arm.arm import Arm
+from ikjax.core.vector import Vector
+from ikjax.maps.sets.orientations import spiral
+from ikjax.solvers.pipeline import reach
+
+
+@dataclasses.dataclass(frozen=True)
+class Grid:
+    """Positions on a box grid, x slowest and z fastest."""
+
+    origin: tuple[float, ...]
+    """The first position [m], world frame."""
+    spacing: float
+    """[m]"""
+    shape: tuple[int, ...]
+
+    @property
+    def count(self) -> int:
+        """Number of positions."""
+        return math.prod(self.shape)
+
+    def axis(self, k: int) -> np.ndarray:
+        """The coordinates along x (0), y (1) or z (2) [m]."""
+        return self.origin[k] + self.spacing * np.arange(self.shape[k])
+
+    def points(self) -> np.ndarray:
+        """All positions [m], (*shape, 3)."""
+        return self.part((slice(None),) * 3)
+
+    def part(self, box: tuple[slice, ...]) -> np.ndarray:
+        """The positions of a box of the grid [m]: the same numbers as in `points()[box]`."""
+        axes = [self.axis(k)[side] for k, side in enumerate(box)]
+        return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+
+    axes = ("x", "y", "z")
+
+    def named(self) -> dict[str, tuple[np.ndarray, tuple[str, ...]]]:
+        """What a map says of its axes: arrays and the names of their dimensions."""
+        return {name: (self.axis(k), (name,)) for k, name in enumerate(self.axes)}
+
+    def tables(self, dtype) -> tuple[Any, ...]:
+        """Arrays that `at` looks up, of the kernel's type."""
+        return tuple(self.axis(k).astype(dtype) for k in range(3))
+
+    def at(self, tables: tuple[Any, ...], index: tuple[Any, ...], xp, dtype) -> Vector:
+        """The positions of whole numbers along each axis."""
+        return tuple(table[i] for table, i in zip(tables, index, strict=True))
+
+    def volume(self, chosen: np.ndarray) -> float:
+        """What positions stand for [m^3]: a cell each."""
+        return float(chosen.sum() * self.spacing**3)
+
+    def in_words(self) -> str:
+        return f"{self.count:,} positions ({self.spacing * 1000:g} mm apart)"
+
+
+def grid(lower, upper, spacing: float) -> Grid:
+    """A grid that fills the box from `lower` to `upper` and is centred in it.
+
+    Args:
+        lower, upper: Corners (3,) [m].
+        spacing: Between neighbours [m].
+
+    Raises:
+        ValueError: A wrong shape, corners out of order, a spacing that is not positive.
+    """
+    lower, upper = np.asarray(lower, float), np.asarray(upper, float)
+    if lower.shape != (3,) or upper.shape != (3,):
+        raise ValueError(f"lower and upper must have shape (3,), got {lower.shape} and {upper.shape}")
+    if not (np.isfinite(lower).all() and np.isfinite(upper).all() and (lower <= upper).all()):
+        raise ValueError(f"lower must not exceed upper, got {lower} and {upper}")
+    _check_spacing(spacing)
+    shape = np.floor((upper - lower) / spacing + 1e-9).astype(int) + 1
+    origin = (lower + upper - (shape - 1) * spacing) / 2
+    return Grid(tuple(map(float, origin)), float(spacing), tuple(map(int, shape)))
+
+
+def _check_spacing(spacing: float) -> None:
+    if not 0 < spacing < np.inf:
+        raise ValueError(f"spacing must be a positive number of metres, got {spacing}")
+
+
+def around(arm: Arm, spacing: float) -> Grid:
+    """A cubic grid around the arm's first axis that no reachable position lies outside of.
+
+    Args:
+        arm: The arm.
+        spacing: Between neighbours [m].
+    """
+    _check_spacing(spacing)
+    baked = arm.baked()
+    centre = np.asarray(baked.base, float)[:3, 3] + float(baked.d[0]) * np.asarray(baked.base, float)[:3, 2]
+    radius = float(reach(baked)) - abs(float(baked.d[0]))
+    radius = spacing * np.ceil(radius / spacing)
+    return grid(centre - radius, centre + radius, spacing)
+
+
+@dataclasses.dataclass(frozen=True)
+class Shell:
+    """Positions on concentric spheres, the same directions on each: radius slow, direction fast."""
+
+    centre: tuple[float, float, float]
+    """[m]"""
+    radii: tuple[float, ...]
+    """[m], ascending."""
+    directions: int
+    """Spread evenly over the sphere, on a spherical Fibonacci spiral."""
+
+    axes = ("radius", "direction")
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of every statistic."""
+        return (len(self.radii), self.directions)
+
+    @property
+    def count(self) -> int:
+        """Number of positions."""
+        return math.prod(self.shape)
+
+    def points(self) -> np.ndarray:
+        """All positions [m], (*shape, 3)."""
+        dtype = np.dtype(float)
+        index = tuple(np.indices(self.shape, np.int32))
+        return np.stack(self.at(self.tables(dtype), index, np, dtype), axis=-1)
+
+    def named(self) -> dict[str, tuple[np.ndarray, tuple[str, ...]]]:
+        """What a map says of its axes: arrays and the names of their dimensions."""
+        unit = dataclasses.replace(self, centre=(0.0, 0.0, 0.0), radii=(1.0,)).points()[0]
+        return {"radius": (np.array(self.radii), ("radius",)), "direction": (unit, ("direction", "xyz"))}
+
+    def tables(self, dtype) -> tuple[Any, ...]:
+        """Arrays that `at` looks up, of the kernel's type."""
+        return (np.array(self.radii, dtype),)
+
+    def at(self, tables: tuple[Any, ...], index: tuple[Any, ...], xp, dtype) -> Vector:
+        """The positions of whole numbers along each axis."""
+        layer, place = index
+        unit = (row[2] for row in spiral(place, self.directions, 1, xp, dtype))
+        return tuple(dtype.type(c) + tables[0][layer] * u for c, u in zip(self.centre, unit, strict=True))
+
+    def volume(self, chosen: np.ndarray) -> float:
+        """What positions stand for [m^3]: the layers meet half way, the outer ones end at their radius."""
+        radii = np.array(self.radii)
+        middle = (radii[1:] + radii[:-1]) / 2
+        between = np.concatenate([radii[:1], middle, radii[-1:]])
+        layers = 4 / 3 * math.pi * np.diff(between**3) / self.directions
+        return float((chosen.sum(1) * layers).sum())
+
+    def in_words(self) -> str:
+        return f"{self.count:,} positions ({len(self.radii)} spheres of {self.directions:,})"
+
+
+def shell(centre, radii, directions: int) -> Shell:
+    """Positions on spheres about a centre.
+
+    Args:
+        centre: (3,) [m].
+        radii: One radius or several [m], positive and ascending.
+        directions: On each sphere.
+
+    Raises:
+        ValueError: A wrong shape, radii that do not ascend, no directions.
+    """
+    middle, layers = np.asarray(centre, float), np.atleast_1d(np.asarray(radii, float))
+    if middle.shape != (3,) or not np.isfinite(middle).all():
+        raise ValueError(f"centre must be a point (3,), got {centre}")
+    if layers.ndim != 1 or len(layers) == 0 or not (np.isfinite(layers).all() and layers[0] > 0):
+        raise ValueError(f"radii must be positive numbers of metres, got {radii}")
+    if (np.diff(layers) <= 0).any():
+        raise ValueError(f"radii must ascend, got {radii}")
+    if isinstance(directions, bool) or not isinstance(directions, int | np.integer) or directions < 1:
+        raise ValueError(f"directions must be at least 1, got {directions}")
+    x, y, z = (float(c) for c in middle)
+    return Shell((x, y, z), tuple(map(float, layers)), int(directions))

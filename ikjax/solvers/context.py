@@ -1,0 +1,137 @@
+"""What a family is handed besides a goal, and one closed-form answer as it hands it on."""
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ikjax.arm.forward import Joint, Link, known_sincos, unwind
+from ikjax.core import safe
+from ikjax.core.pose import Pose
+from ikjax.core.trig import Angle, Scalar, angle, nudged
+from ikjax.core.vector import Vector, plus
+
+
+class Slide(NamedTuple):
+    """Where a sliding joint stands, in units of the reach."""
+
+    value: Scalar
+
+
+TINY = 64
+"""Lengths in units of the reach and sines count as zero below so many eps."""
+
+Joints = tuple[Any, ...]
+"""An `Angle` for each turning joint, a `Slide` for each sliding one."""
+
+
+def placed(link: Link, joint: Angle | Slide) -> Joint:
+    """The link with its joint where it stands."""
+    if isinstance(joint, Slide):
+        return Joint(*known_sincos(link.theta), plus(link.d, joint.value))
+    return Joint(joint.sin, joint.cos, link.d)
+
+
+def moved_on(joint: Angle | Slide, step: Scalar) -> Angle | Slide:
+    """The joint after a small step, without its angle's value."""
+    if isinstance(joint, Slide):
+        return Slide(joint.value + step)
+    return Angle(*nudged(joint.sin, joint.cos, step), ())
+
+
+class Setting(NamedTuple):
+    """What a family's kernel needs besides the arm and the goal."""
+
+    now: Joints
+    """What fills joints that are arbitrary."""
+    tool: Vector
+    """The tool point seen from the frame that ends in the last joint."""
+    tiny: float
+    """Lengths (in units of the reach) and sines below this are zero."""
+    noise: Scalar
+    """What rounding may have taken from a length, and what the arm is off by."""
+    off: Scalar
+    """What the arm as given is off by, in lengths and angles: zero for the arm as recognised."""
+    hold: Callable[[Scalar], Scalar]
+    """Called on what many outputs share; see `ik.inline`."""
+    share: Callable[[Scalar], Scalar] | None
+    """Called on what two programs of one kernel must agree on; see `ik.inline`."""
+
+    @property
+    def rounding(self) -> float:
+        """Of the goals' type: eps."""
+        return self.tiny / TINY
+
+    def close_pairs(self, how: str) -> bool:
+        """Whether an equation that nearly splits has roots in pairs that rounding does not tell apart."""
+        wide = self.rounding > 1e-10
+        return how == "nearly" or (wide and how.startswith("nearly"))
+
+    def root(self, x: Scalar) -> Scalar:
+        """A square root, shared because rounding makes it uncertain near zero."""
+        return safe.sqrt(x) if self.share is None else self.share(safe.sqrt(x))
+
+    def keep(self, x: Scalar) -> Scalar:
+        """What many outputs share and rounding makes uncertain."""
+        return self.hold(x) if self.share is None else self.share(x)
+
+    def angle(self, sine: Scalar, cosine: Scalar) -> Angle:
+        """The angle of a sine and a cosine, held."""
+        return angle(self.hold(sine), self.hold(cosine))
+
+    def filled(self, joint: int, free: jax.Array, sine: Scalar, cosine: Scalar) -> Angle:
+        """The angle of a sine and a cosine, or the joint's own where it is arbitrary."""
+        now = self.now[joint]
+        return self.angle(jnp.where(free, now.sin, sine), jnp.where(free, now.cos, cosine))
+
+    def between(
+        self, joint: int, before: tuple[Scalar, Scalar], after: tuple[Scalar, Scalar], sign: int = 1
+    ) -> tuple[Angle, jax.Array]:
+        """The joint that turns one vector of a plane to the direction of another, and whether any does.
+
+        Args:
+            joint: Which one fills the angle where a vector is zero.
+            before, after: The vectors.
+            sign: -1 where the joint's axis points down from the plane.
+        """
+        (u, v), (x, y) = before, after
+        sine, cosine = u * y - v * x, u * x + v * y
+        free = (u * u + v * v <= self.tiny**2) | (x * x + y * y <= self.tiny**2)
+        weight = safe.reciprocal_sqrt(sine * sine + cosine * cosine)
+        free |= weight == 0
+        return self.filled(joint, free, sign * sine * weight, cosine * weight), free
+
+    def unwind(self, goal: Pose, links: tuple[Link, ...], joints: Joints) -> Pose:
+        """The goal seen from the frame after the first links, held."""
+        for link, joint in zip(links, joints, strict=False):
+            goal = unwind(goal, link, placed(link, joint))
+        return jax.tree.map(self.hold, goal)
+
+
+class Branch(NamedTuple):
+    """Joint values of one slot, before they are measured."""
+
+    joints: Joints
+    """The DH angle of each turning joint, how far each sliding one has slid."""
+    seen: Pose
+    """The goal seen from the frame after the first joints, as many as `Family.first` says."""
+    margin: Scalar
+    """Clearance from the fold, in units of the reach."""
+    continuum: jax.Array
+    """The slot stands for a one-parameter family of answers."""
+    miss: Scalar = 0.0
+    """How far the goal is from all that joints so few can do, in units of the reach and rad."""
+
+
+def in_bits(masks: Sequence[jax.Array], dtype) -> jax.Array:
+    """Masks as bits of one number, the first lowest."""
+    one = np.dtype(dtype).type
+    return functools.reduce(jnp.add, [jnp.where(m, one(2**k), one(0)) for k, m in enumerate(masks)])
+
+
+def bits(slot: int, count: int = 3) -> tuple[int, ...]:
+    """The bits of a slot as signs, lowest first: +1 where the bit is clear, -1 where it is set."""
+    return tuple(-1 if slot >> k & 1 else 1 for k in range(count))

@@ -1,0 +1,181 @@
+"""Five turning joints of which 2, 3 and 4 are parallel; 1 and 5 stand anyhow, but not along those.
+
+Branches: 4. Task: "pose"; goals outside the arm's five-dimensional set are not valid.
+The arm read from the tool to the base is of the same kind, so that a roll, three parallel axes and a
+turn are solved as they stand.
+
+Frames: standard DH. s1, s4 are the signs of sin(alpha), c2 and c3 those of cos(alpha); `up` is +1
+where axis 1 points up. Frame 1 stands on axis 2; the arm's plane is its x, y plane.
+
+Steps:
+1. shoulder: axis 5 stands at a known angle to axis 2, and its foot from axis 4 a known way along axis 2.
+   Both are lines x sin(t1) - y cos(t1) = l. The combination of the two with the longest (x, y) is solved:
+   the foot where it is away from axis 1, axis 5's direction where that is away from axis 1's. Newton steps
+   on both lines then keep the digits that a double root of the one has lost.
+2. axis 5 in the plane gives the whole pitch t2 + c2 t3 + c2 c3 t4, and axis 2 seen from the hand joint 5.
+3. triangle: a2 and a3 reach axis 4 in the plane: joints 2, 3, then 4.
+
+The lines have two common roots where they are the same line: without lateral offset always, so that four
+slots are valid where the links reach; with one only where axis 5 lies along axis 1 or beside it, else two.
+
+Bits:
+1. front: what was solved, the foot as a rule, is on the side of axis 1 where axis 2 stands (a1); along x1
+   if a1 = 0.
+2. up: the elbow is above the line from shoulder to wrist, for an arm that faces its wrist.
+
+Source: Craig, Introduction to Robotics, 3rd ed., section 4.7 for the order of the steps; the two lines,
+the offsets and the twists are ours.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from ikjax.arm.forward import Joint, Link, unwind
+from ikjax.core import safe
+from ikjax.core.pose import Pose
+from ikjax.core.trig import Angle, Scalar, SinCos
+from ikjax.core.vector import minus, plus, times
+from ikjax.solvers.context import Branch, Joints, Setting, bits
+from ikjax.solvers.steps.shoulder import Shoulder, shoulder
+from ikjax.solvers.steps.triangle import Triangle, triangle
+
+BEND = 8
+"""How much more than `off` bends the elbow: four joints' errors add up in its reach, and an elbow that starts
+straight keeps one of its two answers from being found."""
+
+LARGEST_MEND = 0.1
+"""[rad] What rounding takes from a double root is less, unless it is too near axis 1 to count."""
+
+
+class Line(NamedTuple):
+    """x sin(t1) - y cos(t1) = lateral"""
+
+    x: Scalar
+    y: Scalar
+    lateral: Scalar
+
+    def times(self, factor: Scalar) -> "Line":
+        return Line(*(times(factor, part) for part in self))
+
+    def plus(self, other: "Line") -> "Line":
+        return Line(*map(plus, self, other))
+
+    def gap(self, turn: Angle) -> Scalar:
+        return self.x * turn.sin - self.y * turn.cos - self.lateral
+
+    def ahead(self, turn: Angle) -> Scalar:
+        """Along x1; the slope of the gap."""
+        return self.x * turn.cos + self.y * turn.sin
+
+
+def branches(
+    signs: tuple[int, ...], links: tuple[Link, ...], goal: Pose, setting: Setting
+) -> tuple[Branch, ...]:
+    """All four slots for one goal.
+
+    Arguments as in `ortho_parallel_wrist`; signs: up, s1, c2, c3, s4.
+    """
+    up, s1, c2, c3, s4 = signs
+    one, two, three, four = links[:4]
+    c23 = c2 * c3
+    main, rest = _lines(c2, c3, links, goal, setting)
+    facing = safe.sign(one.a)
+    slots: dict[int, Branch] = {}
+    for first in (0, 1):
+        side, *_ = bits(first)
+        base = _shoulder(main, rest, side * facing, setting)
+        miss = abs(one.sin_alpha) * safe.norm(main.gap(base.turn), rest.gap(base.turn))
+        seen = unwind(goal, one, Joint(base.turn.sin, base.turn.cos, one.d))
+        # Seen from frame 1 the rotation is Rz(pitch) Rx(tilt) Rz(t5), with sin(tilt) = c2 c3 sin(alpha4).
+        tilted = c23 * s4
+        n = tuple(row[2] for row in seen.rotation)
+        weight = tilted * safe.reciprocal_sqrt(n[0] * n[0] + n[1] * n[1])
+        p_sin, p_cos = n[0] * weight, jnp.where(weight == 0, 1, -n[1] * weight)
+        p_sin, p_cos = setting.hold(p_sin), setting.hold(p_cos)
+        h = seen.rotation[2]
+        weight = tilted * safe.reciprocal_sqrt(h[0] * h[0] + h[1] * h[1])
+        roll = setting.angle(h[0] * weight, jnp.where(weight == 0, 1, h[1] * weight))
+        x, y, _ = seen.position
+        for height in (1, -1):
+            arm = triangle(
+                x - four.a * p_cos,
+                y - four.a * p_sin,
+                two.a,
+                three.a,
+                up * s1 * side * facing * height,
+                setting,
+                BEND * setting.off,
+            )
+            joints = joints_of(signs, base, arm, (p_sin, p_cos), roll, setting)
+            margin = jnp.minimum(base.margin, arm.margin)
+            slots[first + (0 if height == 1 else 2)] = Branch(
+                joints, goal, margin, base.continuum | arm.continuum, miss
+            )
+    return tuple(slots[slot] for slot in range(4))
+
+
+def joints_of(
+    signs: tuple[int, ...], base: Shoulder, arm: Triangle, pitch: SinCos, roll: Angle, setting: Setting
+) -> Joints:
+    """All five, of the triangle in the plane that joint 1 turns and the hand's pitch in it."""
+    _, _, c2, c3, _ = signs
+    (p_sin, p_cos), c23 = pitch, c2 * c3
+    # c23 t4 = pitch - (t2 + elbow)
+    fore_sin = arm.shoulder_sin * arm.elbow_cos + arm.shoulder_cos * arm.elbow_sin
+    fore_cos = arm.shoulder_cos * arm.elbow_cos - arm.shoulder_sin * arm.elbow_sin
+    return (
+        base.turn,
+        setting.angle(arm.shoulder_sin, arm.shoulder_cos),
+        setting.angle(c2 * arm.elbow_sin, arm.elbow_cos),
+        setting.angle(c23 * (p_sin * fore_cos - p_cos * fore_sin), p_cos * fore_cos + p_sin * fore_sin),
+        roll,
+    )
+
+
+def _lines(c2: int, c3: int, links: tuple[Link, ...], goal: Pose, setting: Setting) -> tuple[Line, Line]:
+    """The combination of the two lines with the longest (x, y), and the one square to it."""
+    one, two, three, four = links[:4]
+    s, c, c23 = one.sin_alpha, one.cos_alpha, float(c2 * c3)
+    per = safe.divide(1, s)
+    x, y, z = goal.position
+    lateral = plus(plus(two.d, times(float(c2), three.d)), times(c23, four.d))
+    foot = Line(x, y, times(per, plus(lateral, minus(times(c, plus(z, -one.d))))))
+    n = tuple(row[2] for row in goal.rotation)
+    along = Line(n[0], n[1], times(per, plus(times(c23, four.cos_alpha), minus(times(c, n[2])))))
+    # The longer axis of an ellipse, by the half of an angle.
+    more = (foot.x * foot.x + foot.y * foot.y - along.x * along.x - along.y * along.y) / 2
+    both = foot.x * along.x + foot.y * along.y
+    per_size = safe.reciprocal_sqrt(more * more + both * both)
+    larger = safe.sqrt((1 + abs(more) * per_size) / 2)
+    smaller = safe.divide(abs(both) * per_size, 2 * larger)
+    foot_first = (more >= 0) | (per_size == 0)
+    p = setting.keep(jnp.where(foot_first, larger, smaller))
+    q = setting.keep(safe.sign(both) * jnp.where(foot_first, smaller, larger))
+    return foot.times(p).plus(along.times(q)), along.times(p).plus(foot.times(-q))
+
+
+def _shoulder(main: Line, rest: Line, side: Scalar, setting: Setting) -> Shoulder:
+    """Joint 1 from the main line, mended by both."""
+    base = shoulder(main.x, main.y, main.lateral, side, setting)
+    half = _half_step(main, rest, base.turn)
+    # To the other side, by more than rounding may have put between two answers, stands the other slot's.
+    stays = side * (5 * main.ahead(base.turn) - 8 * half * main.lateral) >= 0
+    mends = stays & (abs(half) < LARGEST_MEND / 2) & ~base.continuum
+    turn = _turned(base.turn, jnp.where(mends, half, 0))
+    turn = _turned(turn, setting.keep(jnp.where(mends, _half_step(main, rest, turn), 0)))
+    return base._replace(turn=setting.angle(turn.sin, turn.cos))
+
+
+def _half_step(main: Line, rest: Line, turn: Angle) -> Scalar:
+    """Half the Newton step [rad] to where both lines hold best."""
+    slopes = main.ahead(turn), rest.ahead(turn)
+    size = slopes[0] * slopes[0] + slopes[1] * slopes[1]
+    return -safe.divide(slopes[0] * main.gap(turn) + slopes[1] * rest.gap(turn), 2 * size)
+
+
+def _turned(turn: Angle, half: Scalar) -> Angle:
+    """The angle turned on by 2 atan(half), which stays on the circle."""
+    per = 1 / (1 + half * half)
+    sine, cosine = 2 * half * per, (1 - half * half) * per
+    return Angle(turn.sin * cosine + turn.cos * sine, turn.cos * cosine - turn.sin * sine, ())

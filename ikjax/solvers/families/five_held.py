@@ -1,0 +1,100 @@
+"""The `five_axis` arms with joint 2 or 4 held, for a goal that they need not reach.
+
+Branches: those of `five_axis` for each joint and angle. Frames and signs are the same.
+
+Where the nearest pose is not within the joint limits, the nearest that is has a joint on one, as a rule 2 or
+4. The point is held all the same: the pitch being free, two links reach the foot of the tool point that
+`five_nearest` found for that side.
+
+    joint 2 held    axis 3 stands; links 3 and hand
+    joint 4 held    link 2, and link 3 and the hand as one
+
+Then the roll that is best for the pitch that comes of it. The foot of a tool point off axis 5 stays where the
+nearest hand has it, which is good enough to start a refinement from.
+
+Source: ours.
+"""
+
+import jax.numpy as jnp
+
+from ikjax.arm.forward import Link
+from ikjax.core import safe
+from ikjax.core.pose import Pose
+from ikjax.core.trig import Scalar, SinCos
+from ikjax.core.vector import plus, times
+from ikjax.solvers.context import Joints, Setting, bits
+from ikjax.solvers.families.five_axis import joints_of
+from ikjax.solvers.families.five_nearest import Hand, hand_of, roll_of, turned, wrist_of
+from ikjax.solvers.steps.triangle import Triangle, triangle
+
+HELD = (1, 3)
+"""Joints that may be held."""
+
+SHORT = 1e-3
+"""The least that counts as a hand's length; a shorter one turns about the point itself."""
+
+
+def branches(
+    signs: tuple[int, ...],
+    links: tuple[Link, ...],
+    goal: Pose,
+    setting: Setting,
+    ends: dict[int, list[SinCos]],
+) -> list[Joints]:
+    """Joints of both sides and both bends for every end of every joint; `ends` are DH angles."""
+    found = []
+    for first in (0, 1):
+        side = bits(first)[0] * safe.sign(links[0].a)
+        hand = hand_of(signs, links, goal, side, setting)
+        for joint, angles in ends.items():
+            for angle in angles:
+                for left in (1.0, -1.0):
+                    bent = _bent(signs, links, hand, setting, joint, angle, left)
+                    shoulder, elbow, pitch = ((setting.hold(x), setting.hold(y)) for x, y in bent)
+                    roll = setting.angle(*roll_of(signs, hand.rotation, pitch, links[3], setting))
+                    # Nobody reads its margin.
+                    arm = Triangle(shoulder[0], shoulder[1], elbow[0], elbow[1], jnp.inf, False)
+                    found.append(joints_of(signs, hand.base, arm, pitch, roll, setting))
+    return found
+
+
+def _bent(
+    signs, links: tuple[Link, ...], hand: Hand, setting: Setting, joint: int, angle: SinCos, left: float
+) -> tuple[SinCos, SinCos, SinCos]:
+    """Shoulder, elbow and pitch."""
+    _, _, c2, c3, _ = signs
+    _, two, three, four = links[:4]
+    (x, y), wrist = hand.foot, wrist_of(signs, four, setting)
+    if joint == 1:
+        length, lean = _polar(*wrist)
+        x, y = x - times(two.a, angle[1]), y - times(two.a, angle[0])
+        far = triangle(x, y, three.a, length, left, setting)
+        fore = far.shoulder_sin, far.shoulder_cos
+        return angle, _less(fore, angle), _less(_more(fore, (far.elbow_sin, far.elbow_cos)), lean)
+    tip = times(float(c2 * c3), angle[0]), angle[1]
+    ahead, aside = turned(wrist, tip)
+    length, lean = _polar(plus(three.a, ahead), aside)
+    far = triangle(x, y, two.a, length, left, setting)
+    shoulder, elbow = (far.shoulder_sin, far.shoulder_cos), _less((far.elbow_sin, far.elbow_cos), lean)
+    return shoulder, elbow, _more(_more(shoulder, elbow), tip)
+
+
+def _polar(x: Scalar, y: Scalar) -> tuple[Scalar, SinCos]:
+    """Length and direction of a link in the plane."""
+    size = safe.sqrt(plus(times(x, x), times(y, y)))
+    if isinstance(size, float):
+        return max(size, SHORT), (y / size, x / size) if size > SHORT else (0.0, 1.0)
+    known = size > SHORT
+    sine, cosine = jnp.where(known, safe.divide(y, size), 0), jnp.where(known, safe.divide(x, size), 1)
+    return jnp.maximum(size, SHORT), (sine, cosine)
+
+
+def _more(one: SinCos, other: SinCos) -> SinCos:
+    return (
+        plus(times(one[0], other[1]), times(one[1], other[0])),
+        plus(times(one[1], other[1]), times(-1.0, times(one[0], other[0]))),
+    )
+
+
+def _less(one: SinCos, other: SinCos) -> SinCos:
+    return _more(one, (times(-1.0, other[0]), other[1]))

@@ -1,0 +1,88 @@
+"""Arms with axis 1 perpendicular to 2, axis 2 parallel to 3, and a spherical wrist.
+
+Branches: 8. PUMA 560 and nearly every industrial 6-joint arm.
+
+Frames: standard DH. s1 = sin(alpha1) and c2 = cos(alpha2) are signs. Frame 1 stands on axis 2
+with z along it; the arm's plane is its x, y plane. `up` is +1 where axis 1 points up.
+
+Steps:
+1. shoulder: the wrist centre lies `lateral` beside axis 1's plane, which gives joint 1.
+2. triangle: upper arm a2 and forearm (a3, -c2 d4 sin(alpha3)) reach it in the plane: joints 2, 3.
+3. wrist: the rotation that is left gives joints 4, 5, 6.
+
+Bits:
+1. front: the wrist is on the side of axis 1 where axis 2 stands (a1); along x1 if a1 = 0.
+2. up: the elbow is above the line from shoulder to wrist, for an arm that faces its wrist.
+3. noflip: sin(t5) has the sign of sin(alpha4) d4 (of sin(alpha4) if d4 = 0).
+
+Source: the three steps are Craig's, Introduction to Robotics, 3rd ed., section 4.7; Brandstotter,
+Angerer, Hofbaur, An analytical solution of the inverse kinematics problem of industrial serial
+manipulators with an ortho-parallel basis and a spherical wrist (2014), counts the same arms.
+"""
+
+import jax.numpy as jnp
+
+from ikjax.arm.forward import Link
+from ikjax.core import safe, vector
+from ikjax.core.pose import Pose
+from ikjax.core.trig import Angle
+from ikjax.solvers.context import Branch, Setting, bits
+from ikjax.solvers.steps.shoulder import shoulder
+from ikjax.solvers.steps.triangle import Triangle, leaned, triangle
+from ikjax.solvers.steps.wrist import general_wrist, shortfall, square_wrist
+
+
+def branches(
+    signs: tuple[int, ...], links: tuple[Link, ...], goal: Pose, setting: Setting
+) -> tuple[Branch, ...]:
+    """All eight slots for one goal.
+
+    Args:
+        signs: `up`, then the signs of sin(alpha1), cos(alpha2), sin(alpha4), sin(alpha5), and 1 for a
+            wrist whose twists are right angles.
+        links: The table, lengths in units of the reach.
+        goal: Frame 6 without the last link's own d, a, alpha, seen from frame 0.
+        setting: Fills what is arbitrary.
+    """
+    up, s1, c2, s4, s5, square = signs
+    one, two, three, four, five = links[:5]
+    x, y, z = goal.position
+    lateral = s1 * (two.d + c2 * (three.d + four.d * three.cos_alpha))
+    upper, fore_x, fore_y = two.a, three.a, -c2 * four.d * three.sin_alpha
+    fore = safe.norm(fore_x, fore_y)
+    # Joints 2 and 3 settle whether a wrist of other twists reaches at all.
+    noise = setting.off if square else setting.noise
+    twists = (four.sin_alpha, four.cos_alpha, five.sin_alpha, five.cos_alpha)
+    facing, pointing = safe.sign(one.a), s4 * safe.sign(four.d)
+    slots: dict[int, Branch] = {}
+    for slot in range(4):
+        side, height, _ = bits(slot)
+        base = shoulder(x, y, lateral, side * facing, setting)
+        left = up * s1 * side * facing * height
+        arm = triangle(base.ahead - one.a, s1 * (z - one.d), upper, fore, left, setting, noise)
+        if not square:
+            joints = _first_joints(base.turn, arm, (fore_x, fore_y), c2, setting)
+            n = vector.transpose(setting.unwind(goal, links, joints).rotation)[2]
+            # Leaning by one radian tilts axis 4 so much towards axis 6.
+            tilt = c2 * three.sin_alpha * n[0]
+            arm = leaned(arm, upper, fore, safe.divide(shortfall(n, twists), tilt), setting)
+        joints = _first_joints(base.turn, arm, (fore_x, fore_y), c2, setting)
+        seen = setting.unwind(goal, links, joints)
+        across, _, along = vector.transpose(seen.rotation)
+        if square:
+            pair = square_wrist(along, across, (s4, s5), pointing, setting)
+        else:
+            pair = general_wrist(along, across, twists, pointing, setting)
+        for flip, hand in enumerate(pair):
+            margin = jnp.minimum(jnp.minimum(base.margin, arm.margin), hand.margin)
+            continuum = base.continuum | arm.continuum | hand.continuum
+            slots[slot + 4 * flip] = Branch(joints + hand.joints, seen, margin, continuum)
+    return tuple(slots[slot] for slot in range(8))
+
+
+def _first_joints(turn: Angle, arm: Triangle, fore, c2: int, setting: Setting) -> tuple[Angle, Angle, Angle]:
+    """Joints 1, 2, 3: the third is the elbow angle less the bend that the forearm's own offset makes."""
+    per = safe.divide(1, safe.norm(*fore))
+    sine = (arm.elbow_sin * fore[0] - arm.elbow_cos * fore[1]) * per
+    cosine = (arm.elbow_cos * fore[0] + arm.elbow_sin * fore[1]) * per
+    return turn, setting.angle(arm.shoulder_sin, arm.shoulder_cos), setting.angle(c2 * sine, cosine)

@@ -1,0 +1,332 @@
+"""Six turning joints of which three in a row are parallel, wherever they stand, and the rest anyhow.
+
+Branches: 8.
+
+Frames: axes at DH zero, seen from frame 0. h is the direction of the parallel axes. The kernel knows
+them as 2, 3, 4 or as 4, 5, 6; for 3, 4, 5 and 1, 2, 3 it solves the arm read from the tool to the base.
+
+Steps:
+1. Two facts hold whatever the parallel joints do: how far along h the hand is, and the angle of axis 6
+   (or of axis 1's next) to h. Both are linear in the cosines and sines of two other joints, A and B.
+   Solved for B, its cosine and sine make a quartic in A; where the arm's own numbers do not allow
+   that, one combination has A alone, and then the other gives B.
+2. The last joint that is not parallel, C, turns one known direction to another.
+3. What is left is planar: two answers.
+
+Bits: 1 elbow left or right; 2 and 3 whether the quartic rises or falls, then the order of its two roots
+from -pi; where it splits, the signs of the derivatives of the equations for A and B.
+
+Source: three parallel axes are Pieper's second case (1968); the elimination is that of subproblem 6 of
+Elias and Wen, IK-Geo (2022), in circle form.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from ikjax.arm.forward import Link
+from ikjax.core import pose as poses
+from ikjax.core import safe, vector
+from ikjax.core.pose import Pose
+from ikjax.core.roots import circle_quartic, cosine_sine
+from ikjax.core.trig import Angle, Scalar, SinCos, nudged
+from ikjax.core.vector import Vector
+from ikjax.solvers.context import Branch, Setting
+from ikjax.solvers.families.planar import Plane, heading_of, three_joints
+from ikjax.solvers.steps.lines import Axis, axes_of, component, pose_turned, seen_from, turned
+from ikjax.solvers.steps.regional.third_joint import clearance
+
+
+class Equation(NamedTuple):
+    """a cos(A) + b sin(A) + c cos(B) + d sin(B) = e"""
+
+    a: Scalar
+    b: Scalar
+    c: Scalar
+    d: Scalar
+    e: Scalar
+
+
+class Pair(NamedTuple):
+    """Joints A and B."""
+
+    first: Angle
+    second: Angle
+    margin: Scalar
+    free: Scalar = False
+    """One of them is arbitrary."""
+
+
+def branches(signs: tuple, links: tuple[Link, ...], goal: Pose, setting: Setting) -> tuple[Branch, ...]:
+    """All eight slots for one goal.
+
+    Arguments as in `pieper`; signs: the first of the parallel axes, 1 to 4; whether the equations split;
+    and each parallel axis against the first.
+    """
+    place, splits, *along = signs
+    axes, tip = axes_of(links)
+    if place in (2, 4):
+        solve = _inner if place == 2 else _last
+        found = solve(axes, tip, goal, splits, along, setting)
+        return tuple(Branch(joints, goal, margin, free) for joints, margin, free in found)
+    # The inverse of a product of turns about axes is the product, in the other order, of turns the
+    # other way about the same axes, seen from the tip.
+    solve = _inner if place == 3 else _last
+    back = tuple(seen_from(tip, axis) for axis in axes[::-1])
+    now = tuple(Angle(-j.sin, j.cos, -j.value) for j in setting.now[::-1])
+    setting = setting._replace(now=now)
+    along = [sign * along[-1] for sign in along[::-1]]
+    found = solve(back, poses.inverse(tip), poses.inverse(goal), splits, along, setting)
+    slots = []
+    for joints, margin, free in found:
+        turned_back = tuple(Angle(-j.sin, j.cos, -j.value) for j in joints[::-1])
+        slots.append(Branch(turned_back, goal, margin, free))
+    return tuple(slots)
+
+
+def _inner(axes, tip: Pose, goal: Pose, splits: str, along, setting: Setting):
+    """Axes 2, 3, 4 parallel: A = 1, B = 5, C = 6."""
+    one, two, _, _, five, six = axes
+    h = two.along
+    change = vector.matmul(goal.rotation, vector.transpose(tip.rotation))
+    last = vector.rotate(change, six.along)
+    point = vector.add(goal.position, vector.rotate(change, vector.subtract(six.point, tip.position)))
+    equations = (
+        _facing(h, one, five, last, six.along, 0.0),
+        _facing(
+            h,
+            one,
+            five,
+            vector.subtract(point, one.point),
+            vector.subtract(six.point, five.point),
+            vector.dot(h, vector.subtract(five.point, one.point)),
+        ),
+    )
+    answers = []
+    for pair in _pairs(equations, splits, (0, 4), setting):
+        a, b = pair.first, pair.second
+        wanted = vector.rotate(vector.transpose(change), turned(one.along, a.sin, a.cos, h))
+        c, free = _turn_to(six, turned(five.along, -b.sin, b.cos, h), wanted, 5, setting, backwards=True)
+        # What 2, 3, 4 have to do to the hand.
+        rest = pose_turned(one, -a.sin, a.cos, goal)
+        hand = pose_turned(five, b.sin, b.cos, pose_turned(six, c.sin, c.cos, tip))
+        for way in _planar(axes[1:4], hand, rest, along, setting, 1):
+            joints = (a, *way.joints, b, c)
+            answers.append((joints, jnp.minimum(pair.margin, way.margin), pair.free | free | way.continuum))
+    return answers
+
+
+def _last(axes, tip: Pose, goal: Pose, splits: str, along, setting: Setting):
+    """Axes 4, 5, 6 parallel: A = 1, B = 3, C = 2."""
+    one, two, three, four, _, six = axes
+    h = four.along
+    change = vector.matmul(goal.rotation, vector.transpose(tip.rotation))
+    facing = vector.rotate(change, h)
+    point = vector.add(goal.position, vector.rotate(change, vector.subtract(six.point, tip.position)))
+    height = vector.dot(facing, vector.subtract(point, one.point)) - vector.dot(
+        h, vector.subtract(six.point, three.point)
+    )
+    # The direction h as the goal has it, turned back by joint 1, against axis 2 ...
+    a, b, rest = component(facing, one.along, two.along)
+    c, d, other = component(two.along, three.along, h)
+    first = Equation(a, b, -c, -d, other - rest)
+    # ... and the height along it of a point on axis 3.
+    link, fore = vector.subtract(two.point, one.point), vector.subtract(three.point, two.point)
+    a, b, rest = component(facing, one.along, link)
+    c, d, other = component(fore, three.along, h)
+    second = Equation(a, b, c, d, height - rest - other)
+    answers = []
+    for pair in _pairs((first, second), splits, (0, 2), setting):
+        a, b = pair.first, pair.second
+        start = turned(three.along, b.sin, b.cos, h)
+        wanted = turned(one.along, -a.sin, a.cos, facing)
+        c, free = _turn_to(two, start, wanted, 1, setting)
+        rest = pose_turned(two, -c.sin, c.cos, pose_turned(one, -a.sin, a.cos, goal))
+        rest = pose_turned(three, -b.sin, b.cos, rest)
+        for way in _planar(axes[3:], tip, rest, along, setting, 3):
+            joints = (a, c, b, *way.joints)
+            answers.append((joints, jnp.minimum(pair.margin, way.margin), pair.free | free | way.continuum))
+    return answers
+
+
+def _facing(h: Vector, one: Axis, five: Axis, far: Vector, near: Vector, gap: Scalar) -> Equation:
+    """h . (far turned back by joint 1) = h . (near turned by joint 5) + gap"""
+    a, b, rest = component(h, one.along, far)
+    c, d, other = component(h, five.along, near)
+    return Equation(a, -b, -c, -d, other + gap - rest)
+
+
+def _planar(axes, tip: Pose, goal: Pose, along, setting: Setting, first: int):
+    up = axes[0].along
+    # Any direction square to the axes will do; the one to the next axis is there.
+    x = vector.subtract(axes[1].point, axes[0].point)
+    x = vector.subtract(x, vector.scale(vector.dot(up, x), up))
+    x = vector.scale(safe.reciprocal_sqrt(vector.dot(x, x)), x)
+    plane = Plane(x, vector.cross(up, x), up)
+    return three_joints(
+        "RRR",
+        axes,
+        plane,
+        tuple(along),
+        heading_of(plane, tip, goal),
+        plane.point(goal.position),
+        plane.point(tip.position),
+        setting._replace(now=setting.now[first : first + 3]),
+    )
+
+
+def _turn_to(
+    axis: Axis, before: Vector, after: Vector, joint: int, setting: Setting, backwards: bool = False
+):
+    """The joint that turns one direction to another about its axis."""
+    cosine, sine, _ = component(after, axis.along, before)
+    sine = -sine if backwards else sine
+    size = sine * sine + cosine * cosine
+    free = size <= setting.tiny**2
+    weight = safe.reciprocal_sqrt(size)
+    return setting.filled(joint, free, sine * weight, cosine * weight), free
+
+
+def _pairs(equations: tuple[Equation, Equation], splits: str, joints, setting: Setting) -> list[Pair]:
+    """Joints A and B from their two equations: four pairs."""
+    one, two = equations
+    if splits in ("exactly", "within 1e-5"):
+        return _split_pairs(one, two, splits, joints, setting)
+    determinant = one.c * two.d - one.d * two.c
+    weight = safe.divide(1, determinant)
+
+    def solved(u, v):
+        return (u * two.d - v * one.d) * weight, (v * one.c - u * two.c) * weight
+
+    rows = [solved(u, v) for u, v in zip(one, two, strict=True)]
+    (ac, as_), (bc, bs), _, _, (ec, es) = rows
+    # cos(B) = ec - ac cos(A) - bc sin(A), and the sine likewise; their squares add up to one.
+    cos_squared, mixed, sin_squared = ac * ac + as_ * as_, ac * bc + as_ * bs, bc * bc + bs * bs
+    harmonics = (
+        (cos_squared - sin_squared) / 2,
+        mixed,
+        -(ac * ec + as_ * es),
+        -(bc * ec + bs * es),
+        ec * ec + es * es - 1 + (cos_squared + sin_squared) / 2,
+    )
+    scale = safe.divide(1, sum(abs(x) for x in harmonics))
+    harmonics = tuple(setting.keep(x * scale) for x in harmonics)
+    found = circle_quartic(harmonics, setting.keep)
+
+    def length(value, sine, cosine):
+        # The right side of the second equation follows the goal along h, one for one.
+        cos_b, sin_b = ec - ac * cosine - bc * sine, es - as_ * cosine - bs * sine
+        slope = 2 * scale * abs(weight * (one.c * sin_b - one.d * cos_b))
+        return value / jnp.maximum(slope, setting.tiny)
+
+    pairs = []
+    in_order = (found.rising[0], found.falling[0], found.rising[1], found.falling[1])
+    for root, rise in zip(in_order, (1, -1, 1, -1), strict=True):
+        cosine, sine = ec - ac * root.cos - bc * root.sin, es - as_ * root.cos - bs * root.sin
+        size = safe.reciprocal_sqrt(cosine * cosine + sine * sine)
+        turn = setting.hold(sine * size), setting.hold(jnp.where(size == 0, 1, cosine * size))
+        start, real, steps, largest = (root.sin, root.cos), root.real, 1, setting.rounding**0.25
+        if setting.close_pairs(splits):
+            turn = _side_of_close_pair(equations, start, rise, setting)
+            # What is left of a complex pair may be a real one that rounding hides, but only nearby.
+            steps, largest, real = 4, jnp.where(root.real, 0.3, 4 * largest), True
+        first, second = _polished(equations, start, turn, real, setting, steps, largest)
+        pairs.append(Pair(first, second, clearance(harmonics, found, root, length)))
+    return pairs
+
+
+def _separated(one: Equation, two: Equation) -> tuple[Equation, Equation]:
+    """The two combinations of unit weights with least and with most of joint B."""
+    size_one, size_two = one.c * one.c + one.d * one.d, two.c * two.c + two.d * two.d
+    both = one.c * two.c + one.d * two.d
+    weight = safe.reciprocal_sqrt(size_one * size_one + both * both)
+    other = safe.reciprocal_sqrt(size_two * size_two + both * both)
+    # (p, q) is along the ratio of the two, from the larger.
+    larger, smaller = (size_one * weight, both * weight), (both * other, size_two * other)
+    if isinstance(size_one, float) and isinstance(size_two, float):
+        p, q = larger if size_one >= size_two else smaller
+    else:
+        p, q = (jnp.where(size_one >= size_two, a, b) for a, b in zip(larger, smaller, strict=True))
+    alone = Equation(*(v * p - u * q for u, v in zip(one, two, strict=True)))
+    with_b = Equation(*(u * p + v * q for u, v in zip(one, two, strict=True)))
+    return alone, with_b
+
+
+def _side_of_close_pair(equations, first: SinCos, rise: int, setting: Setting) -> SinCos:
+    """Joint B at a root for A of equations that all but split.
+
+    What is left of B in `alone` is a small factor times B's height, so the roots for A come in close pairs,
+    one with either sign of the height; where rounding hides it, it is told by which of the two rises.
+    """
+    alone, with_b = _separated(*equations)
+    sine, cosine = first
+    value = alone.e - alone.a * cosine - alone.b * sine
+    slope = alone.a * sine - alone.b * cosine
+    factor = with_b.c * alone.d - with_b.d * alone.c
+    noise = 4 * setting.rounding**0.5
+    turned = jnp.where(factor > 0, -1, 1).astype(value.dtype)
+    told = jnp.where(abs(value) > noise, safe.sign(value), rise * safe.sign(slope)) * turned
+    rest = with_b.e - with_b.a * cosine - with_b.b * sine
+    root = cosine_sine(with_b.c, with_b.d, rest, told, noise=setting.noise, root=setting.root)
+    return setting.hold(root.sin), setting.hold(root.cos)
+
+
+def _polished(
+    equations, first: SinCos, second: SinCos, real, setting: Setting, steps: int, largest: Scalar
+) -> tuple[Angle, Angle]:
+    """Newton steps on A and B in their own equations: the quartic squares them, and rounding with them.
+
+    Args:
+        equations: The two.
+        first, second: A and B.
+        real: Whether there is a root to go to.
+        setting: What holds values.
+        steps: How many.
+        largest: The largest that is believed [rad]: a larger one is not the correction of a small error, and
+            would lead to another branch.
+    """
+    for _ in range(steps):
+        rows = []
+        for a, b, c, d, e in equations:
+            gap = e - a * first[1] - b * first[0] - c * second[1] - d * second[0]
+            rows.append((b * first[1] - a * first[0], d * second[1] - c * second[0], gap))
+        (p, q, gap), (r, s, other) = rows
+        weight = safe.divide(1, p * s - q * r)
+        moves = (gap * s - other * q) * weight, (other * p - gap * r) * weight
+        small = real & (jnp.maximum(*map(abs, moves)) < largest)
+        moved = [
+            nudged(*joint, jnp.where(small, move, 0))
+            for joint, move in zip((first, second), moves, strict=True)
+        ]
+        first, second = (tuple(map(setting.hold, joint)) for joint in moved)
+    a, b = (setting.angle(*joint) for joint in (first, second))
+    return a, b
+
+
+STEPS = 8
+"""From equations that split to those that do so within 1e-5: beside a fold a step only halves the error, and
+1e-5 counts there by its square root."""
+
+
+def _split_pairs(one: Equation, two: Equation, splits: str, joints, setting: Setting) -> list[Pair]:
+    """Where B's coefficients are proportional: the combination without B, and the one with most of it."""
+    alone, with_b = _separated(one, two)
+    noise = setting.noise
+    if splits != "exactly":
+        # So that the true root lies between the two starts.
+        noise = noise + abs(alone.c) + abs(alone.d)
+    pairs = []
+    for side in (1, -1):
+        root = cosine_sine(alone.a, alone.b, alone.e, side, noise=noise, root=setting.root)
+        first = setting.filled(joints[0], root.free, root.sin, root.cos)
+        rest = with_b.e - with_b.a * first.cos - with_b.b * first.sin
+        for side_b in (1, -1):
+            deep = cosine_sine(with_b.c, with_b.d, rest, side_b, noise=noise, root=setting.root)
+            second = setting.filled(joints[1], deep.free, deep.sin, deep.cos)
+            pair = Pair(first, second, jnp.minimum(root.margin, deep.margin), root.free | deep.free)
+            if splits != "exactly":
+                ends = (first.sin, first.cos), (second.sin, second.cos)
+                turns = _polished((one, two), *ends, ~pair.free, setting, STEPS, 0.3)
+                pair = pair._replace(first=turns[0], second=turns[1])
+            pairs.append(pair)
+    return pairs

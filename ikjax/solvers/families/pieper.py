@@ -1,0 +1,93 @@
+"""Arms whose last three axes meet in a point, after any three joints, turning or sliding.
+
+Branches: twice those of `regional`, 8 for six turning joints.
+
+Frames: standard DH, a4 = a5 = d5 = 0. The wrist centre is d4 along z of frame 3.
+
+Steps:
+1. regional: joints 1, 2, 3 bring the wrist centre where the goal has it.
+2. wrist: the rotation that is left gives joints 4, 5, 6.
+
+Bits: those of `regional`, then noflip as in `ortho_parallel_wrist`.
+
+The reversed arm, whose first three axes meet, is this one read from the tool to the base: the same
+links and joints in the other order, seen from frames turned half round about x.
+
+Source: Craig, Introduction to Robotics, 3rd ed., section 4.6.
+"""
+
+import jax.numpy as jnp
+
+from ikjax.arm.forward import Link
+from ikjax.core import pose as poses
+from ikjax.core import safe, vector
+from ikjax.core.pose import Pose
+from ikjax.core.vector import minus
+from ikjax.solvers.context import Branch, Setting
+from ikjax.solvers.steps.regional import three_joints
+from ikjax.solvers.steps.wrist import general_wrist, square_wrist
+
+
+def branches(signs: tuple, links: tuple[Link, ...], goal: Pose, setting: Setting) -> tuple[Branch, ...]:
+    """All slots for one goal.
+
+    Arguments as in `ortho_parallel_wrist`; signs: how the regional equation splits, the signs of
+    sin(alpha4), sin(alpha5), and 1 for a wrist whose twists are right angles.
+    """
+    how, s4, s5, square = signs
+    four, five = links[3], links[4]
+    twists = (four.sin_alpha, four.cos_alpha, five.sin_alpha, five.cos_alpha)
+    pointing = s4 * safe.sign(four.d)
+    ways = three_joints.regional(links[:3], (0.0, 0.0, four.d), goal.position, how, setting)
+    plain: list[Branch] = []
+    flipped: list[Branch] = []
+    for way in ways:
+        seen = setting.unwind(goal, links, way.joints)
+        across, _, along = vector.transpose(seen.rotation)
+        if square:
+            pair = square_wrist(along, across, (s4, s5), pointing, setting)
+        else:
+            pair = general_wrist(along, across, twists, pointing, setting)
+        for hand, slots in zip(pair, (plain, flipped), strict=True):
+            margin = jnp.minimum(way.margin, hand.margin)
+            free = way.continuum | hand.continuum
+            slots.append(Branch(way.joints + hand.joints, seen, margin, free))
+    return (*plain, *flipped)
+
+
+def reversed_branches(
+    signs: tuple, links: tuple[Link, ...], goal: Pose, setting: Setting
+) -> tuple[Branch, ...]:
+    """All slots of an arm whose wrist is at its base."""
+    table, turned = reverse(links, goal)
+    now = (*setting.now[::-1],)
+    found = branches(signs, table, turned, setting._replace(now=now))
+    return tuple(slot._replace(joints=slot.joints[::-1], seen=goal) for slot in found)
+
+
+def reverse(links: tuple[Link, ...], goal: Pose) -> tuple[tuple[Link, ...], Pose]:
+    """The table read from the tool to the base, and the base seen from the tool.
+
+    The inverse of Rz(t) Tz(d) Tx(a) Rx(alpha) is, half a turn about x before and after,
+    Tx(-a) Rx(-alpha) Rz(t) Tz(d): each link keeps its joint and hands its length and twist on.
+    """
+    rows = []
+    for k in range(len(links) - 1, -1, -1):
+        before = links[k - 1] if k else Link("R", 0.0, 0.0, 1.0, 0.0, 0.0)
+        rows.append(
+            links[k]._replace(
+                a=minus(before.a), sin_alpha=minus(before.sin_alpha), cos_alpha=before.cos_alpha
+            )
+        )
+    first = rows[-1]
+    rows[-1] = first._replace(d=0.0)
+    back = poses.inverse(goal)
+    turned = tuple(
+        tuple(c if (i == 0) == (j == 0) else -c for j, c in enumerate(row))
+        for i, row in enumerate(back.rotation)
+    )
+    x, y, z = back.position
+    goal = Pose(turned, (x, -y, -z))
+    # The last link reversed is joint 1 alone; its offset is taken off the goal.
+    off = vector.scale(first.d, tuple(row[2] for row in goal.rotation))
+    return tuple(rows), Pose(goal.rotation, vector.subtract(goal.position, off))

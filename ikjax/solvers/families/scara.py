@@ -1,0 +1,86 @@
+"""Arms with three parallel turning axes: SCARA, and a turning base before them.
+
+Branches: 2. Task: "pose"; goals outside the arm's four-dimensional set are not valid.
+
+Steps: SCARA (one slide along the same axes, anywhere among them): the slide makes the height, the
+rest is `planar`. Turning base: joint 1 turns the three axes to where the goal has them, the rest is
+`planar` in the plane that it has turned.
+
+Bit: the elbow left (0) or right of the line from the first of the three joints to the last.
+
+Source: Craig, Introduction to Robotics, 3rd ed., section 4.4 for the plane; the rest is ours.
+"""
+
+from ikjax.arm.forward import Link
+from ikjax.core import safe, vector
+from ikjax.core.pose import Pose
+from ikjax.core.vector import Vector
+from ikjax.solvers.context import Branch, Setting, Slide
+from ikjax.solvers.families.planar import heading_of, plane_of, three_joints
+from ikjax.solvers.steps.lines import axes_of, component, pose_turned
+
+
+def branches(signs: tuple, links: tuple[Link, ...], goal: Pose, setting: Setting) -> tuple[Branch, ...]:
+    """Both slots of a SCARA; signs: of each axis against the first turning one."""
+    kinds = "".join(link.kind for link in links)
+    k = kinds.index("P")
+    axes, tip = axes_of(links)
+    turning = [i for i in range(4) if i != k]
+    plane = plane_of("RRR", tuple(axes[i] for i in turning))
+    slide = signs[k] * vector.dot(plane.up, vector.subtract(goal.position, tip.position))
+    three = setting._replace(now=tuple(setting.now[i] for i in turning))
+    ways = three_joints(
+        "RRR",
+        tuple(axes[i] for i in turning),
+        plane,
+        tuple(signs[i] for i in turning),
+        heading_of(plane, tip, goal),
+        plane.point(goal.position),
+        plane.point(tip.position),
+        three,
+    )
+    slots = []
+    miss = safe.norm(*vector.subtract(_carried(plane.up, tip, goal), plane.up))
+    for way in ways:
+        joints = list(way.joints)
+        joints.insert(k, Slide(slide))
+        slots.append(Branch(tuple(joints), goal, way.margin, way.continuum, miss))
+    return tuple(slots)
+
+
+def _carried(along: Vector, tip: Pose, goal: Pose) -> Vector:
+    """Where the goal has what is a direction of the arm at DH zero, and turns with the last joint."""
+    return vector.rotate(goal.rotation, vector.rotate(vector.transpose(tip.rotation), along))
+
+
+def turret_branches(
+    signs: tuple, links: tuple[Link, ...], goal: Pose, setting: Setting
+) -> tuple[Branch, ...]:
+    """Both slots of a turning base before three parallel axes; signs: of axes 2, 3, 4 against 2."""
+    axes, tip = axes_of(links)
+    along = axes[1].along
+    # Where the goal has the direction that axes 2, 3, 4 share.
+    wanted = _carried(along, tip, goal)
+    cosine, sine, _ = component(wanted, axes[0].along, along)
+    weight = safe.reciprocal_sqrt(sine * sine + cosine * cosine)
+    free = weight <= setting.tiny
+    turn = setting.filled(0, free, sine * weight, cosine * weight)
+    seen = pose_turned(axes[0], -turn.sin, turn.cos, goal)
+    # Any direction square to the axes will do for x.
+    x = vector.cross(along, axes[0].along)
+    x = vector.scale(safe.reciprocal_sqrt(vector.dot(x, x)), x)
+    plane = plane_of("RRR", axes[1:])._replace(x=x, y=vector.cross(along, x))
+    ways = three_joints(
+        "RRR",
+        axes[1:],
+        plane,
+        signs,
+        heading_of(plane, tip, seen),
+        plane.point(seen.position),
+        plane.point(tip.position),
+        setting._replace(now=setting.now[1:]),
+    )
+    # No joint moves the direction along axis 1, nor the tip along the other three.
+    tilt = vector.dot(axes[0].along, vector.subtract(wanted, along))
+    miss = safe.norm(tilt, vector.dot(along, vector.subtract(seen.position, tip.position)))
+    return tuple(Branch((turn, *way.joints), goal, way.margin, way.continuum | free, miss) for way in ways)

@@ -1,0 +1,224 @@
+"""Arms with axis 1 perpendicular to 2 and axes 2, 3, 4 parallel; 5 and 6 each square to the last.
+
+Branches: 8. Universal Robots' arms and the lectures' elbow manipulator.
+
+Frames: standard DH. s1, s4, s5 are the signs of sin(alpha), c2 and c3 those of cos(alpha); an
+antiparallel axis is c = -1, and `up` is +1 where axis 1 points up. Frame 1 stands on axis 2; the
+arm's plane is its x, y plane.
+
+Steps:
+1. shoulder: the point where axes 5 and 6 meet lies `lateral` beside axis 1's plane: joint 1.
+2. axis 6 against axis 2 gives joint 5; what is left of axis 6 in the plane gives the whole pitch
+   t2 + c2 t3 + c2 c3 t4, and the rotation about axis 6 gives joint 6.
+3. triangle: a2 and a3 reach axis 4 in the plane: joints 2, 3, then 4.
+Where axis 6 is parallel to axis 2 the pitch is arbitrary; it follows `now`, moved as little as
+lets the triangle close.
+
+Bits: front and up as in `ortho_parallel_wrist`; noflip: sin(t5) has the sign of up s1 c2 c3 s4
+(and of a1, where it is not zero).
+
+Source: the order of the steps is that of the lectures' elbow manipulator (ME/SE 740, lecture 18);
+the offsets, the signs and the singular rule are ours.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from ikjax.arm.forward import Joint, Link, unwind
+from ikjax.core import safe, vector
+from ikjax.core.pose import Pose
+from ikjax.core.trig import Angle, Scalar, SinCos, angle
+from ikjax.solvers.context import Branch, Setting, bits
+from ikjax.solvers.steps.shoulder import shoulder
+from ikjax.solvers.steps.triangle import ring, triangle
+
+
+def branches(
+    signs: tuple[int, ...], links: tuple[Link, ...], goal: Pose, setting: Setting
+) -> tuple[Branch, ...]:
+    """All eight slots for one goal.
+
+    Arguments as in `ortho_parallel_wrist`; signs: up, s1, c2, c3, s4, s5.
+    """
+    up, s1, c2, c3, s4, s5 = signs
+    one, two, three, four, five = links[:5]
+    c23 = c2 * c3
+    x, y, _ = goal.position
+    lateral = s1 * (two.d + c2 * three.d + c23 * four.d)
+    facing = safe.sign(one.a)
+    hand = (four.a, -c23 * s4 * five.d)  # from axis 4 to where 5 and 6 meet, at pitch 0
+    pitch_now = _whole_pitch(setting.now, c2, c23)
+    turned = setting.angle
+    slots: dict[int, Branch] = {}
+    for first in (0, 1, 4, 5):
+        side, _, wrist = bits(first)
+        base = shoulder(x, y, lateral, side * facing, setting)
+        t5_side = wrist * facing * (up * s1 * c23 * s4)
+        seen = unwind(goal, one, Joint(base.turn.sin, base.turn.cos, one.d))
+        links_up = Links(two.a, three.a, hand, one.a)
+        pitch = _pitch(seen, links_up, s5 * t5_side, pitch_now, setting)
+        t1 = _turned_on(base.turn, s1, pitch.on, setting)
+        seen = _seen_turned(seen, one.a, pitch.on, setting)
+        v, _, n = vector.transpose(seen.rotation)
+        t5_sin = t5_side * vector.norm((n[0], n[1], 0.0))
+        t5_cos = -c23 * s4 * s5 * n[2]
+        # The goal's x axis against the axes that joint 6 turns it between.
+        forward = pitch.cos * v[0] + pitch.sin * v[1]
+        t6_cos = t5_cos * forward + c23 * s4 * t5_sin * v[2]
+        t6_sin = c23 * s4 * s5 * (pitch.sin * v[0] - pitch.cos * v[1])
+        wrist_joints = turned(t5_sin, t5_cos), turned(t6_sin, t6_cos)
+        for height in (1, -1):
+            arm = triangle(
+                seen.position[0] - (pitch.cos * hand[0] - pitch.sin * hand[1]),
+                seen.position[1] - (pitch.sin * hand[0] + pitch.cos * hand[1]),
+                two.a,
+                three.a,
+                up * s1 * side * facing * height,
+                setting,
+                setting.off,
+            )
+            # c23 t4 = pitch - (t2 + elbow)
+            fore_sin = arm.shoulder_sin * arm.elbow_cos + arm.shoulder_cos * arm.elbow_sin
+            fore_cos = arm.shoulder_cos * arm.elbow_cos - arm.shoulder_sin * arm.elbow_sin
+            t4_sin = pitch.sin * fore_cos - pitch.cos * fore_sin
+            t4_cos = pitch.cos * fore_cos + pitch.sin * fore_sin
+            joints = (
+                t1,
+                turned(arm.shoulder_sin, arm.shoulder_cos),
+                turned(c2 * arm.elbow_sin, arm.elbow_cos),
+                turned(c23 * t4_sin, t4_cos),
+                *wrist_joints,
+            )
+            margin = jnp.minimum(base.margin, arm.margin)
+            free = base.continuum | pitch.free | arm.continuum
+            slots[first + (0 if height == 1 else 2)] = Branch(joints, seen, margin, free)
+    return tuple(slots[slot] for slot in range(8))
+
+
+class Links(NamedTuple):
+    """What stands in the arm's plane, in units of the reach."""
+
+    upper: Scalar
+    fore: Scalar
+    hand: tuple[Scalar, Scalar]
+    """From axis 4 to where axes 5 and 6 meet, at pitch 0."""
+    first: Scalar
+    """a1: from axis 1 to axis 2."""
+
+
+class Pitch(NamedTuple):
+    """The whole pitch t2 + c2 t3 + c2 c3 t4."""
+
+    sin: Scalar
+    cos: Scalar
+    on: SinCos
+    """How far joint 1 is turned on, about y1, so that this pitch is the goal's."""
+    free: Scalar
+    """Axis 6 is parallel to axis 2, so that every pitch is the goal's."""
+
+
+def _pitch(seen: Pose, links: Links, side: Scalar, now: Angle, setting: Setting) -> Pitch:
+    """The pitch that axis 6 asks for, or one as good to rounding for which the triangle closes.
+
+    Axis 6 near axis 2 makes the pitch noise; the wrist near its cylinder, or near axis 1, makes
+    joint 1 noise and the pitch with it. Either freedom may serve the triangle, and where it cannot
+    close otherwise it must: the answer is there, but rounding has moved it.
+
+    Args:
+        seen: The goal seen from frame 1.
+        links: The triangle.
+        side: +1 or -1 times the part of axis 6 in the plane points along the pitch.
+        now: The pitch where it is arbitrary.
+        setting: What counts as zero.
+    """
+    tiny, hold = setting.tiny, setting.hold
+    n = tuple(row[2] for row in seen.rotation)
+    x, y, z = seen.position
+    rho_squared = n[0] * n[0] + n[1] * n[1]
+    free = rho_squared <= tiny * tiny
+    weight = side * safe.reciprocal_sqrt(rho_squared)
+    p_sin = jnp.where(free, now.sin, n[1] * weight)
+    p_cos = jnp.where(free, now.cos, n[0] * weight)
+    loose = rho_squared <= 4 * setting.tiny
+    new_sin, new_cos, moved = _closing(x, y, links, p_sin, p_cos)
+    new_sin, new_cos = hold(new_sin), hold(new_cos)
+    # Turned on about y1, axis 6 has (level, n[1]) in the plane: along the new pitch.
+    size_squared = n[0] * n[0] + n[2] * n[2]
+    steep, tilted = jnp.abs(new_sin) > tiny, size_squared > tiny
+    # A quotient that several need is one that XLA holds: each goes through a mask.
+    level = jnp.where(steep, n[1] * new_cos / jnp.where(steep, new_sin, 1), 0)
+    beside = safe.sign(n[2]) * safe.sqrt(size_squared - level * level)
+    weight = jnp.where(tilted, 1 / jnp.where(tilted, size_squared, 1), 0)
+    root_sin = (n[0] * beside - n[2] * level) * weight
+    root_cos = (n[0] * level + n[2] * beside) * weight
+    slip = jnp.abs((x + links.first) * root_sin) + jnp.abs(z) * (1 - root_cos)
+    able = (
+        moved
+        & steep
+        & tilted
+        & (level * level <= size_squared)
+        & (slip <= setting.tiny)
+        & (side * n[1] * new_sin >= 0)
+    )
+    on_sin, on_cos = hold(jnp.where(able, root_sin, 0)), hold(jnp.where(able, root_cos, 1))
+    moved &= loose | able
+    p_sin, p_cos = jnp.where(moved, new_sin, p_sin), jnp.where(moved, new_cos, p_cos)
+    return Pitch(hold(p_sin), hold(p_cos), (on_sin, on_cos), free)
+
+
+def _turned_on(t1: Angle, s1: int, on: SinCos, setting: Setting) -> Angle:
+    sine, cosine = s1 * on[0], on[1]
+    return setting.angle(t1.sin * cosine + t1.cos * sine, t1.cos * cosine - t1.sin * sine)
+
+
+def _seen_turned(seen: Pose, a1: Scalar, on: SinCos, setting: Setting) -> Pose:
+    """The goal seen from frame 1 after joint 1 is turned on: all turns back about y1, through axis 1."""
+    sine, cosine = on
+
+    def back(v):
+        turned = (v[0] * cosine - v[2] * sine, v[1], v[0] * sine + v[2] * cosine)
+        return tuple(map(setting.hold, turned))
+
+    ahead, _, along = vector.transpose(seen.rotation)
+    ahead, along = back(ahead), back(along)
+    x, y, z = seen.position
+    x, y, z = back((x + a1, y, z))
+    # The third column is cheaper to make again than to hold.
+    return Pose(vector.transpose((ahead, vector.cross(along, ahead), along)), (x - a1, y, z))
+
+
+def _whole_pitch(now: tuple[Angle, ...], c2: int, c23: int) -> Angle:
+    """t2 + c2 t3 + c23 t4."""
+    sine, cosine = now[1].sin, now[1].cos
+    for sign, joint in ((c2, now[2]), (c23, now[3])):
+        sine, cosine = (
+            sine * joint.cos + sign * cosine * joint.sin,
+            cosine * joint.cos - sign * sine * joint.sin,
+        )
+    return angle(sine, cosine)
+
+
+def _closing(
+    x: Scalar, y: Scalar, links: Links, p_sin: Scalar, p_cos: Scalar
+) -> tuple[Scalar, Scalar, Scalar]:
+    """The pitch moved as little as lets the links reach axis 4, and whether it had to be.
+
+    Axis 4 lies at (x, y) less the hand turned by the pitch; its distance from the shoulder is
+    brought into the ring by the law of cosines, on the side where the hand already is.
+    """
+    # The point to reach, turned so that the hand at pitch 0 lies along x.
+    hand = links.hand
+    u, v = x * hand[0] + y * hand[1], y * hand[0] - x * hand[1]
+    reach_squared, hand_squared = x * x + y * y, hand[0] * hand[0] + hand[1] * hand[1]
+    total = reach_squared + hand_squared
+    span_squared = total - 2 * (u * p_cos + v * p_sin)
+    low, high = ring(links.upper, links.fore)
+    wanted = jnp.clip(span_squared, low * low, high * high)
+    weight = safe.reciprocal_sqrt(reach_squared * hand_squared)
+    cosine = jnp.clip((total - wanted) * (weight / 2), -1, 1)
+    sine = jnp.where(u * p_sin < v * p_cos, -weight, weight) * safe.sqrt((1 - cosine) * (1 + cosine))
+    cosine = cosine * weight
+    moved = (wanted != span_squared) & (weight > 0)
+    new_sin, new_cos = v * cosine + u * sine, u * cosine - v * sine
+    return jnp.where(moved, new_sin, p_sin), jnp.where(moved, new_cos, p_cos), moved

@@ -1,0 +1,404 @@
+"""From one goal to measured slots: what every family shares.
+
+The goal is brought to units of the reach and to the frame its family expects, the
+family proposes joints for every slot, and forward kinematics on the given arm decides which hold.
+"""
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ikjax.arm.arm import Arm, numbers
+from ikjax.arm.forward import (
+    Joint,
+    Link,
+    advance,
+    corrections,
+    coupled,
+    fixed_pose,
+    known_sincos,
+    links,
+    strip,
+    whole_turns,
+)
+from ikjax.core import pose as poses
+from ikjax.core import safe, vector
+from ikjax.core.known import is_traced
+from ikjax.core.pose import Pose
+from ikjax.core.trig import Angle, Scalar, atan2, canonical, sincos, wrap
+from ikjax.solvers.context import TINY, Branch, Joints, Setting, Slide, placed
+from ikjax.solvers.families import FAMILIES, Family
+from ikjax.solvers.given_arm import Given, polished
+
+TOLERANCE = {"float32": 2e-5, "float64": 1e-9}
+"""A slot is valid when its pose is this close, [rad] and as a share of (reach + |p|)."""
+
+ROTATION_TOLERANCE = 1e-5
+"""|R^T R - I| beyond this is no rotation: `solve` masks the goal."""
+
+NEARLY_ROTATION = 1e-2
+"""Up to this, what goes to the nearest pose anyway takes the nearest rotation: three typed decimals."""
+
+TURNING = ("pose", "planar_pose")
+"""Tasks that ask for an orientation."""
+
+WILD = 1e6
+"""Entries of a rotation count as no larger: the fourth power is finite in float32."""
+
+FAR = 1e6
+"""Goals further than so many reaches are answered as if they stood there."""
+
+
+class Slot(NamedTuple):
+    """One measured answer, in scalars; the fields are those of `Solutions`."""
+
+    joints: Joints
+    """What the measure was taken of."""
+    q: tuple[Scalar, ...]
+    valid: jax.Array
+    margin: Scalar
+    continuum: jax.Array
+    position_error: Scalar
+    rotation_error: Scalar
+    miss_squared: Scalar
+    """Square of the larger error, in tolerances: valid slots have at most 1."""
+    is_pose: jax.Array | bool = True
+    """Whether the goal was one, which is known before it is cleaned."""
+
+
+def as_solved(arm: Arm) -> Arm:
+    """The arm without a correction that is too small for `valid` to see in the arm's type.
+
+    A hundredth of the tolerance is below what decides; the arm as recognised is solved at full speed.
+    """
+    if arm.correction is None or is_traced(arm):
+        return arm
+    off, size = np.abs(np.asarray(arm.correction, float)), float(reach(arm))
+    most = max(off[:, :3].max() / size, off[:, 3:].max())
+    return dataclasses.replace(arm, correction=None) if most <= unseen(arm.dtype) else arm
+
+
+def unseen(dtype) -> float:
+    """What a correction must be larger than to count, [rad] and as a share of the reach."""
+    return TOLERANCE[np.dtype(dtype).name] / 100
+
+
+class Frame(NamedTuple):
+    """What a goal has to pass to become a family's goal, and the table, in units of the reach."""
+
+    reach: Scalar
+    """[m]"""
+    per_reach: Scalar
+    links: tuple[Link, ...]
+    """The last one bare: it ends in the tip, the frame that turns with its joint and nothing else."""
+    from_world: Pose
+    """T_base_world."""
+    from_tool: Pose
+    """T_tool_tip"""
+    tool: vector.Vector
+    """The tool point seen from the tip."""
+    between: tuple[Pose, ...] | None
+    """What each link but the last is off by, at its end; see `Arm.correction`."""
+    off: Scalar
+    """A small part of all that they are off by: enough to bend an elbow that has to be straight on the
+    arm as recognised and need not be on the arm as given."""
+
+
+def reach(arm: Arm) -> Scalar:
+    """Sum of the lengths in the table and the tool [m]: no tool point is further from the base.
+
+    It is also the unit of length everywhere. An arm without lengths, a bare wrist or a gantry, has 1 m: there
+    is nothing else to compare with.
+    """
+    tool = fixed_pose(arm.tool).position
+    total = sum(abs(x) for link in links(arm) for x in (link.a, link.d)) + sum(abs(x) for x in tool)
+    return total or 1.0 if isinstance(total, int | float) else jnp.where(total > 0, total, 1)
+
+
+def prepare(arm: Arm) -> Frame:
+    """Everything that depends on the arm alone."""
+    size = reach(arm)
+    per = 1 / size
+    table = tuple(
+        link._replace(a=vector.times(per, link.a), d=vector.times(per, link.d), theta=_wrapped(link.theta))
+        for link in links(arm)
+    )
+    base, tool, between = fixed_pose(arm.base), fixed_pose(arm.tool), None
+    off = corrections(arm)
+    if off is not None:
+        base, tool = poses.compose(base, off[0]), poses.compose(off[-1], tool)
+        between = tuple(Pose(p.rotation, vector.scale(per, p.position)) for p in off[1:-1])
+    base = Pose(base.rotation, vector.scale(per, base.position))
+    tool = Pose(tool.rotation, vector.scale(per, tool.position))
+    tip_tool = poses.compose(advance(poses.IDENTITY, table[-1], Joint(0.0, 1.0, table[-1].d)), tool)
+    bare = Link(table[-1].kind, 0.0, 0.0, 1.0, 0.0, table[-1].theta)
+    return Frame(
+        size,
+        per,
+        (*table[:-1], bare),
+        poses.inverse(base),
+        poses.inverse(tip_tool),
+        tip_tool.position,
+        between,
+        0.0 if between is None else _sum_off(arm, per),
+    )
+
+
+def _sum_off(arm: Arm, per: Scalar) -> Scalar:
+    assert arm.correction is not None
+    rows = [numbers(arm.correction[i]) for i in range(1, arm.n)]
+    return sum(per * sum(map(abs, row[:3])) + sum(map(abs, row[3:])) for row in rows) / 32
+
+
+def _wrapped(theta: Scalar) -> Scalar:
+    return math.remainder(theta, 2 * math.pi) if isinstance(theta, float) else wrap(theta)
+
+
+def clean(goal: Pose, reach: Scalar) -> tuple[Pose, jax.Array]:
+    """A goal that is finite, orthonormal and not absurdly far, and whether it was a pose at all."""
+    goal, off = _measured(goal, reach)
+    rigid = off <= ROTATION_TOLERANCE
+    return Pose(vector.orthonormal(_or_identity(rigid, goal.rotation)), goal.position), rigid
+
+
+def nearest_pose(rows: tuple[tuple[Scalar, ...], ...], reach: Scalar) -> tuple[Pose, jax.Array]:
+    """The pose nearest to a goal T_world_tool that need not be one, and by how much it is none.
+
+    Args:
+        rows: The goal's entries, four rows of four.
+        reach: Of the arm [m].
+
+    Returns:
+        The pose, its rotation in the place of one that is off by at most `NEARLY_ROTATION`, else a finite
+        stand-in that nothing may be measured against; and |R^T R - I|, infinite where no rotation is near: of
+        a reflection, of numbers that are not finite, of another bottom row.
+    """
+    rotation, position = tuple(row[:3] for row in rows[:3]), tuple(row[3] for row in rows[:3])
+    goal, off = _measured(Pose(rotation, position), reach)
+    for entry, wanted in zip(rows[3], (0, 0, 0, 1), strict=True):
+        off = jnp.where(entry == wanted, off, jnp.inf)
+    near = vector.nearest_rotation(_or_identity(off <= NEARLY_ROTATION, goal.rotation))
+    return Pose(near, goal.position), off
+
+
+def _measured(goal: Pose, reach: Scalar) -> tuple[Pose, jax.Array]:
+    """The goal with finite numbers, and |R^T R - I|, infinite where they were none or mirror."""
+    numbers = [*(c for row in goal.rotation for c in row), *goal.position]
+    finite = jnp.isfinite(numbers[0])
+    for number in numbers[1:]:
+        finite &= jnp.isfinite(number)
+    # A wild matrix must not overflow on its way to being refused.
+    rotation = tuple(
+        tuple(jnp.clip(c, -WILD, WILD) for c in row) for row in _or_identity(finite, goal.rotation)
+    )
+    far = FAR * reach
+    position = tuple(jnp.where(finite, jnp.clip(p, -far, far), 0) for p in goal.position)
+    proper = finite & (vector.determinant(rotation) > 0)
+    off = jnp.where(proper, vector.orthonormality_error(rotation), jnp.inf)
+    return Pose(rotation, position), off
+
+
+def _or_identity(good: jax.Array, rotation: vector.Matrix) -> vector.Matrix:
+    return tuple(
+        tuple(jnp.where(good, c, k) for c, k in zip(row, unit, strict=True))
+        for row, unit in zip(rotation, vector.IDENTITY, strict=True)
+    )
+
+
+def solve_scalars(
+    arm: Arm,
+    goal: Pose,
+    now: tuple[Scalar, ...] | None = None,
+    tolerance: float | None = None,
+    hold: Callable[[Scalar], Scalar] | None = None,
+    share: Callable[[Scalar], Scalar] | None = None,
+) -> tuple[Slot, ...]:
+    """Every slot for one goal, in scalars (or for many goals, one array a scalar).
+
+    Args:
+        arm: An arm with a family.
+        goal: T_world_tool with an orthonormal rotation; `clean` makes one of anything.
+        now: Joint values that arbitrary joints follow; zero by default.
+        tolerance: Overrides `TOLERANCE` for the goal's type.
+        hold: Called on what many outputs share; see `ik.inline`.
+        share: Called on what two programs must agree on; see `ik.inline`.
+
+    Returns:
+        One `Slot` for each branch of the family, in slot order.
+    """
+    tolerance = TOLERANCE[jnp.result_type(goal.position[0]).name] if tolerance is None else tolerance
+    frame, tip, setting = _set(arm, goal, now, hold, share)
+    hold = setting.hold
+    allowed = tolerance * (1 + frame.per_reach * vector.norm(goal.position))
+    turning = arm.task in TURNING
+    family = FAMILIES[str(arm.family)]
+    branches = family.branches(arm.signs, frame.links, tip, setting)
+    if frame.between is not None:
+        given = Given(frame.links, frame.between, frame.tool)
+        branches, gaps, turns = polished(given, branches, tip, turning, (allowed, tolerance), setting)
+        measured = list(zip(gaps, turns, strict=True))
+    else:
+        measured = [_mismatch(frame, family, branch) for branch in branches]
+    motors = _motors(arm)
+    slots = []
+    for branch, (gap_squared, turn_squared) in zip(branches, measured, strict=True):
+        gap_squared, turn_squared = hold(gap_squared), hold(turn_squared)
+        turn_squared = turn_squared if turning else jnp.zeros_like(gap_squared)
+        # |R - S| = sqrt(8) sin(angle / 2), in the Frobenius norm.
+        valid = (gap_squared <= allowed * allowed) & (turn_squared <= 2 * tolerance**2)
+        half = safe.sqrt(jnp.minimum(turn_squared / 8, 1))
+        margin = jnp.minimum(branch.margin, 1)
+        if not isinstance(branch.miss, float):
+            margin = jnp.where(valid, margin, jnp.minimum(margin, -branch.miss))
+        slots.append(
+            Slot(
+                branch.joints,
+                motors(_joint_values(frame, branch.joints)),
+                valid,
+                frame.reach * margin,
+                branch.continuum,
+                frame.reach * safe.sqrt(gap_squared),
+                2 * atan2(half, safe.sqrt((1 - half) * (1 + half))),
+                jnp.maximum(gap_squared / (allowed * allowed), turn_squared / (2 * tolerance**2)),
+            )
+        )
+    return tuple(slots)
+
+
+def proposed(
+    arm: Arm, goal: Pose, hold: Callable[[Scalar], Scalar] | None = None
+) -> list[tuple[Scalar, ...]]:
+    """Joints of every slot, for a goal that need not be reached: as near as the closed form comes.
+
+    Arguments as in `solve_scalars`. Nothing is measured, and the arm is taken as recognised.
+    """
+    frame, tip, setting = _set(arm, goal, None, hold, None)
+    family = FAMILIES[str(arm.family)]
+    branches = (family.nearest or family.branches)(arm.signs, frame.links, tip, setting)
+    motors = _motors(arm)
+    return [motors(_joint_values(frame, branch.joints)) for branch in branches]
+
+
+def proposed_at_ends(
+    arm: Arm, goal: Pose, hold: Callable[[Scalar], Scalar] | None = None
+) -> list[tuple[Scalar, ...]]:
+    """As `proposed`, with one joint at one of its limits; none where no joint has any or may be held so."""
+    family, ends = FAMILIES[str(arm.family)], {}
+    for joint in family.may_hold:
+        angles = [vector.plus(links(arm)[joint].theta, end) for end in numbers(arm.limits[joint])]
+        angles = [x for x in angles if not isinstance(x, float) or math.isfinite(x)]
+        # An end that may turn out not to be one becomes some angle.
+        ends[joint] = [
+            known_sincos(x if isinstance(x, float) else jnp.where(jnp.isfinite(x), x, 0)) for x in angles
+        ]
+    if family.held is None or not any(ends.values()):
+        return []
+    frame, tip, setting = _set(arm, goal, None, hold, None)
+    motors = _motors(arm)
+    found = family.held(arm.signs, frame.links, tip, setting, ends)
+    return [motors(_joint_values(frame, joints)) for joints in found]
+
+
+def _set(arm: Arm, goal: Pose, now, hold, share) -> tuple[Frame, Pose, Setting]:
+    """The arm, the goal as its family is asked for it, and the rest that a family is handed."""
+    dtype = jnp.result_type(goal.position[0])
+    frame = prepare(arm)
+    tiny = TINY * float(np.finfo(dtype).eps)
+    now = coupled(arm, (0.0,) * arm.n if now is None else now)
+    fill = tuple(_now(link, value, frame, dtype) for link, value in zip(frame.links, now, strict=True))
+    hold = hold or (lambda x: x)
+    scaled = Pose(goal.rotation, vector.scale(frame.per_reach, goal.position))
+    tip = jax.tree.map(hold, _asked(arm.task, frame, scaled))
+    return (
+        frame,
+        tip,
+        Setting(fill, frame.tool, tiny, vector.plus(tiny / 8, frame.off), frame.off, hold, share),
+    )
+
+
+def _asked(task: str, frame: Frame, goal: Pose) -> Pose:
+    """What the task asks of the last frame, seen from frame 0.
+
+    Where the orientation is not asked for, it is the tool point itself, on a frame of zeros: so that
+    the tool point of any frame that is compared with it counts whole.
+    """
+    seen = poses.compose(frame.from_world, goal)
+    if task in TURNING:
+        return poses.compose(seen, frame.from_tool)
+    zero = jnp.zeros_like(seen.position[0])
+    return Pose(((zero,) * 3,) * 3, seen.position)
+
+
+def _motors(arm: Arm) -> Callable[[tuple[Scalar, ...]], tuple[Scalar, ...]]:
+    """From joint values to motor values, in (-pi, pi] where a whole turn of the motor leaves the pose."""
+    if arm.coupling is None:
+        return lambda q: q
+    known = isinstance(arm.coupling, np.ndarray) and arm.coupling.dtype != object
+    inverse = np.linalg.inv(arm.coupling) if known else jnp.linalg.inv(jnp.stack([*map(_row, arm.coupling)]))
+    rows = [numbers(inverse[i]) for i in range(arm.n)]
+
+    def motor(whole, row, q):
+        value = functools.reduce(vector.plus, map(vector.times, row, q))
+        if isinstance(whole, bool):
+            return wrap(value) if whole else value
+        return jnp.where(whole, wrap(value), value)
+
+    return lambda q: tuple(motor(whole, row, q) for whole, row in zip(whole_turns(arm), rows, strict=True))
+
+
+def _row(entries) -> jax.Array:
+    return jnp.stack([jnp.asarray(x) for x in entries]) if isinstance(entries, np.ndarray) else entries
+
+
+def _now(link: Link, value: Scalar, frame: Frame, dtype) -> Angle | Slide:
+    if link.kind == "P":
+        return Slide(jnp.asarray(frame.per_reach * value, dtype))
+    total = jnp.asarray(link.theta + value, dtype)
+    return Angle(*sincos(total), total)
+
+
+def _mismatch(frame: Frame, family: Family, branch: Branch) -> tuple[Scalar, Scalar]:
+    """Squared distance of the tool points, and squared Frobenius norm of R - S.
+
+    The goal is unwound through the first joints and stripped of the last ones, as many as the
+    family says; the joints between are wound forward, and the two are compared where they meet.
+    That is forward kinematics on the given arm, with as little of it per slot as the slots allow.
+    """
+    joints = [placed(link, joint) for link, joint in zip(frame.links, branch.joints, strict=True)]
+    chain = list(zip(frame.links, joints, strict=True))
+    end = len(chain) - family.last
+    goal, tool = branch.seen, frame.tool
+    for link, joint in reversed(chain[end:]):
+        goal = strip(goal, link, joint)
+        tool = _carried(tool, link, joint)
+    reached = poses.IDENTITY
+    for link, joint in chain[family.first : end]:
+        reached = advance(reached, link, joint)
+    slip = tuple(map(vector.subtract, reached.rotation, goal.rotation))
+    gap = vector.add(vector.subtract(reached.position, goal.position), vector.rotate(slip, tool))
+    return vector.dot(gap, gap), sum(vector.dot(row, row) for row in slip)
+
+
+def _carried(point: vector.Vector, link: Link, joint: Joint) -> vector.Vector:
+    """A point of the frame after the link, seen from the frame before it."""
+    step = advance(poses.IDENTITY, link, joint)
+    return vector.add(vector.rotate(step.rotation, point), step.position)
+
+
+def _joint_values(frame: Frame, joints: Joints) -> tuple[Scalar, ...]:
+    values = []
+    for link, joint in zip(frame.links, joints, strict=True):
+        if isinstance(joint, Slide):
+            values.append(frame.reach * joint.value)
+            continue
+        turned = joint.value - link.theta
+        turned = jnp.where(turned > np.pi, turned - 2 * np.pi, turned)
+        turned = jnp.where(turned < -np.pi, turned + 2 * np.pi, turned)
+        values.append(canonical(turned))
+    return tuple(values)

@@ -1,0 +1,184 @@
+"""Joint 3 from the equation that is left when joints 1 and 2 are eliminated.
+
+For `regional`. Branches: 4 of a quartic, 2 of an equation of the first degree on the
+circle or of the second in a slide, 1 of one of the first degree in a slide.
+
+The margin of a quartic's root is how far the point would have to move for the polynomial to vanish midway to
+the nearest root of the other kind, to first order: its size there by the length of its slope in the point.
+Where the two merge that is the distance from the fold; where they are complex it is negative.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from ikjax.core import safe
+from ikjax.core.roots import CircleRoot, circle_quartic, cosine_sine, harmonics_at
+from ikjax.core.trig import Angle, Scalar
+from ikjax.core.vector import times
+from ikjax.solvers.context import Setting, Slide
+from ikjax.solvers.steps.regional.point_chain import Chain, Poly
+
+
+class Third(NamedTuple):
+    """A candidate for joint 3."""
+
+    joint: Angle | Slide
+    u: Scalar
+    v: Scalar
+    margin: Scalar
+    free: Scalar = False
+    """It is arbitrary."""
+    rise: int = 0
+    """1 where its equation rises there, -1 where it falls; 0 where nobody asks."""
+
+
+Slope = Callable[[Scalar, Scalar], Scalar]
+"""The length of a polynomial's slope in the wanted point, at (U, V)."""
+
+
+def roots(chain: Chain, p: Poly, setting: Setting, span: Scalar | None = None) -> list[Third]:
+    """Joint 3 from a polynomial of the first degree on the circle, or up to the second in a slide.
+
+    Args:
+        chain: The three links.
+        p: The polynomial, a length; or a squared distance where `span` is that distance.
+        setting: What counts as zero.
+        span: As above.
+    """
+
+    def length(change: Scalar, sign: Scalar) -> Scalar:
+        return change if span is None else moved(span, change, sign)
+
+    if chain.kinds[2] == "P":
+        return _slides(p, setting, lambda change, _: length(change, -1))
+    thirds = []
+    for side in (1, -1):
+        root = cosine_sine(p.u, p.v, times(-1.0, p.one), side, noise=setting.noise, root=setting.root)
+        turn = setting.filled(2, root.free, root.sin, root.cos)
+        margin = length(root.margin, safe.sign(p.one))
+        thirds.append(Third(turn, turn.cos, turn.sin, margin, root.free))
+    return thirds
+
+
+def moved(span: Scalar, change: Scalar, sign: Scalar) -> Scalar:
+    """How far a point moves outwards (sign 1) or inwards (-1) where its squared distance changes so much."""
+    after = safe.sqrt(jnp.maximum(span * span + sign * change, 0))
+    return safe.divide(change, span + after)
+
+
+def _slides(p: Poly, setting: Setting, length: Callable[[Scalar, Scalar], Scalar]) -> list[Third]:
+    """Joint 3 as the roots of a polynomial in a slide: one or two.
+
+    Args:
+        p: The polynomial.
+        setting: What counts as zero.
+        length: From a change of the polynomial, and where, to how far the point moves for it.
+    """
+    if isinstance(p.uu, float) and p.uu == 0:
+        q = setting.hold(safe.divide(times(-1.0, p.one), p.u))
+        return [Third(Slide(q), q, 0.0, jnp.inf)]
+    thirds = []
+    per = safe.divide(1, p.uu)
+    middle = -p.u * per / 2
+    gap = middle * middle - p.one * per
+    for side in (1, -1):
+        q = setting.hold(middle + safe.sign(p.uu) * side * setting.root(gap))
+        thirds.append(Third(Slide(q), q, 0.0, length(abs(p.uu) * gap, middle), rise=side))
+    return thirds
+
+
+def second_degree(chain: Chain, p: Poly, setting: Setting, slope: Slope) -> list[Third]:
+    if chain.kinds[2] == "P":
+        return _slides(p, setting, lambda change, q: change / jnp.maximum(slope(q, 0.0), setting.tiny))
+    return circle_roots(chain, harmonics_of(p), setting, lambda sine, cosine: slope(cosine, sine))
+
+
+def harmonics_of(p: Poly):
+    """A polynomial in (cos, sin) as harmonics."""
+    return (
+        (p.uu - p.vv) / 2,
+        p.uv / 2,
+        p.u / 2,
+        p.v / 2,
+        p.one + (p.uu + p.vv) / 2,
+    )
+
+
+def half_angle_harmonics(c: list[Scalar]):
+    """A quartic in q = tan(t / 2), times cos(t / 2)^4."""
+    return (
+        (c[0] - c[2] + c[4]) / 8,
+        (c[1] - c[3]) / 8,
+        (c[0] - c[4]) / 4,
+        (c[1] + c[3]) / 8,
+        (3 * c[0] + c[2] + 3 * c[4]) / 8,
+    )
+
+
+def circle_roots(
+    chain: Chain, harmonics, setting: Setting, slope: Callable[[Scalar, Scalar], Scalar]
+) -> list[Third]:
+    """Joint 3 from a quartic on the circle.
+
+    Args:
+        chain: The three links.
+        harmonics: The polynomial.
+        setting: What counts as zero.
+        slope: From sine and cosine to the length of its slope in the wanted point.
+    """
+    harmonics = tuple(jnp.asarray(c) for c in harmonics)
+    scale = sum(abs(c) for c in harmonics)
+    weight = safe.divide(1, scale)
+    harmonics = tuple(setting.keep(c * weight) for c in harmonics)
+    found = circle_quartic(harmonics, setting.keep)
+    thirds = []
+
+    def length(value: Scalar, sine: Scalar, cosine: Scalar) -> Scalar:
+        return value / jnp.maximum(weight * slope(sine, cosine), setting.tiny)
+
+    in_order = (found.rising[0], found.falling[0], found.rising[1], found.falling[1])
+    for root, rise in zip(in_order, (1, -1, 1, -1), strict=True):
+        sine, cosine = root.sin, root.cos
+        margin = clearance(harmonics, found, root, length)
+        if chain.kinds[2] == "P":
+            # tan(t / 2), from the form that does not cancel.
+            q = jnp.where(cosine > 0, safe.divide(sine, 1 + cosine), safe.divide(1 - cosine, sine))
+            thirds.append(Third(Slide(q), q, 0.0, margin, rise=rise))
+            continue
+        turn = setting.angle(sine, cosine)
+        thirds.append(Third(turn, turn.cos, turn.sin, margin, rise=rise))
+    return thirds
+
+
+Length = Callable[[Scalar, Scalar, Scalar], Scalar]
+"""From a value of a polynomial at a sine and a cosine to how far the goal must move to make it zero."""
+
+
+def clearance(harmonics, found, root: CircleRoot, length: Length) -> Scalar:
+    """How far the polynomial is from having a double root here: its size between two neighbours."""
+    value, _ = harmonics_at(harmonics, root.sin, root.cos)
+    outside = -length(abs(value), root.sin, root.cos)
+    return jnp.where(root.real, _between(harmonics, found, root, length), outside)
+
+
+def _between(harmonics, found, root: CircleRoot, length: Length) -> Scalar:
+    """The lesser size of the polynomial midway to the real neighbours, which are of the other kind."""
+    rises = any(root is r for r in found.rising)
+    others, rise = (found.falling, 1) if rises else (found.rising, -1)
+    least: Scalar = jnp.inf
+    for other in others:
+        cosine = root.cos * other.cos + root.sin * other.sin
+        sine = root.cos * other.sin - root.sin * other.cos
+        half_cos = safe.sqrt((1 + cosine) / 2)
+        half_sin = safe.sign(sine) * safe.sqrt((1 - cosine) / 2)
+        middle = (
+            root.sin * half_cos + root.cos * half_sin,
+            root.cos * half_cos - root.sin * half_sin,
+        )
+        # Between a root where it rises and one where it falls, the sign is known; not so where the
+        # short way holds other roots.
+        size = rise * safe.sign(sine) * harmonics_at(harmonics, *middle)[0]
+        least = jnp.where(other.real & (size >= 0), jnp.minimum(least, length(size, *middle)), least)
+    return jnp.minimum(least, 1)

@@ -1,0 +1,67 @@
+"""What a design is worth: scores of an arm and its `Solutions`, smooth for climbing and exact for counting.
+
+An objective is called as objective(arm, sol, blur) and gives a score to be made as great as
+can be: one number, or an array of them, whose mean is taken. `sol` is that of the goals in the shape they
+were given; its margins and masks have the joint limits in them where those count. `blur` [m] is how far a
+margin has to be above zero to count nearly whole; a design study makes it smaller as it goes. A blur that
+is the Python number 0 asks for the exact score. Functions of your own may leave it aside.
+"""
+
+import jax
+import jax.numpy as jnp
+
+from ikjax.arm.arm import Arm
+from ikjax.ik.margins import smooth_max, smooth_min
+from ikjax.ik.quality import manipulability
+from ikjax.ik.results import Solutions
+
+SHARE_BLUR = 0.05
+"""How far above its threshold a share of orientations has to be to count nearly whole."""
+
+
+def coverage(arm: Arm, sol: Solutions, blur) -> jax.Array:
+    """The share of goals that are reached."""
+    if _exact(blur):
+        return sol.valid.any(-1).astype(sol.margin.dtype)
+    return jax.nn.sigmoid(smooth_max(sol.margin, blur) / blur)
+
+
+def dexterity(arm: Arm, sol: Solutions, blur, *, share: float = 0.5) -> jax.Array:
+    """The share of positions where at least `share` of the orientations is reached; goals (P, O, 4, 4).
+
+    Over a grid, that times its volume is the dexterous volume.
+
+    Raises:
+        ValueError: Goals that are no table of positions and orientations.
+    """
+    if sol.valid.ndim != 3:
+        raise ValueError(f"dexterity wants goals (positions, orientations, 4, 4), got {sol.valid.shape[:-1]}")
+    reached = coverage(arm, sol, blur).mean(-1)
+    if _exact(blur):
+        return (reached >= share).astype(reached.dtype)
+    return jax.nn.sigmoid((reached - share) / SHARE_BLUR)
+
+
+def worst_margin(arm: Arm, sol: Solutions, blur) -> jax.Array:
+    """The margin [m] of the goal that is worst off, by its best branch."""
+    return smooth_min(smooth_max(sol.margin, blur).reshape(-1), blur)
+
+
+def mean_manipulability(arm: Arm, sol: Solutions, blur) -> jax.Array:
+    """Yoshikawa's measure by the best branch that reaches, zero for goals out of reach.
+
+    A goal out of reach has no slope here: add margins where an arm has to find its goals first.
+    """
+    return jnp.max(jnp.where(sol.valid, manipulability(arm, sol.q), 0), axis=-1)
+
+
+NAMED = {
+    "coverage": coverage,
+    "dexterity": dexterity,
+    "worst_margin": worst_margin,
+    "mean_manipulability": mean_manipulability,
+}
+
+
+def _exact(blur) -> bool:
+    return isinstance(blur, int | float) and blur == 0

@@ -1,0 +1,173 @@
+"""The numbers of an arm that a design study moves: their names, bounds and ties.
+
+Each number lies between its bounds by a logistic, lower + width / (1 + exp(-z)), so that any
+optimiser may move any z. Ties, linear equations between numbers, are met by shifting z along the ties' own
+directions as far as it takes; bounds hold all the while. Base and tool move by a twist: a shift and a turn
+(rotation vector) about their own origin, in the axes of the world and of the last link.
+
+Source: the shift that meets the ties is the entropic projection onto them, found by Newton's method on its
+dual, which is convex (Bregman 1967).
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ikjax.arm.arm import Arm
+from ikjax.arm.recognition import free_parameters
+from ikjax.arm.recognition.free_parameters import COLUMNS
+from ikjax.core import pose as poses
+from ikjax.core import safe
+from ikjax.core.linear import solve_symmetric
+
+TWIST = ("x", "y", "z", "rx", "ry", "rz")
+NEWTON = 40
+"""Steps towards the ties, each two at most in z."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Parameters:
+    """Hashable, so that it may be static under jit."""
+
+    names: tuple[str, ...]
+    """"a2", "d4", "base.x", ..., "tool.rz"; shifts [m] and turns [rad] of base and tool count from zero."""
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+    ties: tuple[tuple[float, ...], ...] = ()
+    """A row for each tie: its factors, one for each name, and then what they sum up to."""
+    rules: tuple[tuple[float, ...], ...] = ()
+    """A row for each linear constraint: its factors, and then what they sum up to at most."""
+
+    def values(self, z: jax.Array) -> jax.Array:
+        """The numbers (k,) of coordinates z (k,): within bounds, and tied."""
+        lower = jnp.asarray(self.lower, z.dtype)
+        width = jnp.asarray(self.upper, z.dtype) - lower
+        return lower + width * jax.nn.sigmoid(self._tied(z))
+
+    def over(self, values: jax.Array) -> jax.Array:
+        """How far each linear constraint is above zero at numbers (k,): (c,)."""
+        table = jnp.asarray(np.reshape(self.rules, (-1, len(self.names) + 1)), values.dtype)
+        return (table[:, :-1] * values[None]).sum(-1) - table[:, -1]
+
+    def coordinates(self, values) -> np.ndarray:
+        """z of numbers (k,); those at a bound or beyond are taken a thousandth of the way inside."""
+        lower, upper = np.array(self.lower), np.array(self.upper)
+        share = np.clip((np.asarray(values, float) - lower) / (upper - lower), 1e-3, 1 - 1e-3)
+        return np.log(share) - np.log1p(-share)
+
+    def random(self, rng: np.random.Generator, count: int) -> np.ndarray:
+        """z of numbers spread evenly between the bounds, before they are tied: (count, k)."""
+        share = rng.uniform(0.02, 0.98, (count, len(self.names)))
+        return np.log(share) - np.log1p(-share)
+
+    def of(self, arm: Arm) -> np.ndarray:
+        """The numbers (k,) as they stand in an arm."""
+        return np.array([0.0 if "." in name else free_parameters.number(arm, name) for name in self.names])
+
+    def put(self, arm: Arm, values: jax.Array) -> Arm:
+        """The arm with the numbers (k,) in their places; they may be traced."""
+        leaves = self._table(arm, values)
+        for mount in ("base", "tool"):
+            if self._moves(mount):
+                leaves[mount] = self._mount(arm, mount, values)
+        return dataclasses.replace(arm, **leaves)
+
+    def apart(self, arm: Arm, goals: jax.Array, values: jax.Array) -> tuple[Arm, jax.Array]:
+        """An arm and goals (..., 4, 4) whose joints are those of `put`'s arm for the goals as given.
+
+        Base and tool stand still and the goals move instead. The kernel then knows more of its arm while
+        it is compiled, and slopes arrive goal by goal: a fraction of the work.
+        """
+        leaves = self._table(arm, values)
+        if self._moves("base"):
+            back = product(_given(arm, "base", values), inverse(self._mount(arm, "base", values)))
+            goals = product(back, goals)
+        if self._moves("tool") and arm.task == "pose":
+            on = product(inverse(self._mount(arm, "tool", values)), _given(arm, "tool", values))
+            goals = product(goals, on)
+        elif self._moves("tool"):
+            # Where a goal's orientation is free, the tool cannot be made part of it.
+            leaves["tool"] = self._mount(arm, "tool", values)
+        return dataclasses.replace(arm, **leaves), goals
+
+    def _table(self, arm: Arm, values: jax.Array) -> dict[str, Any]:
+        """The columns in which something moves."""
+        leaves: dict[str, Any] = {}
+        for column in COLUMNS:
+            at = {name: i for i, name in enumerate(self.names) if name.rstrip("0123456789") == column}
+            if at:
+                rows = jnp.array([int(name[len(column) :]) - 1 for name in at])
+                leaf = jnp.asarray(getattr(arm, column), values.dtype)
+                leaves[column] = leaf.at[rows].set(values[jnp.array(list(at.values()))])
+        return leaves
+
+    def _moves(self, mount: str) -> bool:
+        return any(name.startswith(f"{mount}.") for name in self.names)
+
+    def _mount(self, arm: Arm, mount: str, values: jax.Array) -> jax.Array:
+        names = [f"{mount}.{part}" for part in TWIST]
+        still = jnp.zeros_like(values[0])
+        twist = [values[self.names.index(name)] if name in self.names else still for name in names]
+        return moved(_given(arm, mount, values), twist)
+
+    def _tied(self, z: jax.Array) -> jax.Array:
+        if not self.ties:
+            return z
+        table = np.array(self.ties)
+        lower, width = np.array(self.lower), np.array(self.upper) - np.array(self.lower)
+        rows, wanted = table[:, :-1] * width, table[:, -1] - table[:, :-1] @ lower
+        size = np.linalg.norm(rows, axis=1)
+        rows, wanted = (jnp.asarray(x, z.dtype) for x in (rows / size[:, None], wanted / size))
+        count, tiny = len(size), float(jnp.finfo(z.dtype).tiny) ** 0.5
+
+        def shifted(z, along):
+            return z + (rows * along[:, None]).sum(0)
+
+        def nearer(along, z):
+            share = jax.nn.sigmoid(shifted(z, along))
+            off = (rows * share[None]).sum(-1) - wanted
+            steep = jax.lax.stop_gradient(share * (1 - share))[None]
+            curve = [
+                [(rows[i : i + 1] * steep * rows[j : j + 1]).sum() for j in range(count)]
+                for i in range(count)
+            ]
+            for i in range(count):
+                curve[i][i] = curve[i][i] + tiny
+            step = solve_symmetric(curve, [off[i] for i in range(count)])
+            return along - jnp.clip(jnp.stack(step), -2, 2)
+
+        still = jax.lax.stop_gradient(z)
+        along = jax.lax.fori_loop(0, NEWTON, lambda _, along: nearer(along, still), jnp.zeros(count, z.dtype))
+        # One more step, which carries the slope: that of the equations, by the implicit function theorem.
+        return shifted(z, nearer(along, z))
+
+
+def moved(mount: jax.Array, twist: Sequence[jax.Array]) -> jax.Array:
+    """A pose shifted, and turned about its own origin, in the axes that it is given in."""
+    x, y, z = twist[3:]
+    angle = safe.norm(x, y, z)
+    half = angle / 2
+    small = half < 1e-3
+    safely = jnp.where(small, 1, half)
+    share = jnp.where(small, 1 - (x * x + y * y + z * z) / 24, jnp.sin(safely) / safely) / 2
+    rotation = poses.from_quaternion((jnp.cos(half), share * x, share * y, share * z))
+    turn = jnp.stack([jnp.stack(row) for row in rotation])
+    spun = jnp.stack([sum(turn[i, k] * mount[k, :3] for k in range(3)) for i in range(3)])
+    return mount.at[:3, :3].set(spun).at[:3, 3].add(jnp.stack(twist[:3]))
+
+
+def _given(arm: Arm, mount: str, like: jax.Array) -> jax.Array:
+    return jnp.asarray(getattr(arm, mount), like.dtype)
+
+
+def product(first: jax.Array, second: jax.Array) -> jax.Array:
+    """Of poses (..., 4, 4), written out: a matrix product may be rounded coarsely on some devices."""
+    return poses.to_matrix(poses.compose(poses.from_matrix(first), poses.from_matrix(second)))
+
+
+def inverse(pose: jax.Array) -> jax.Array:
+    return poses.to_matrix(poses.inverse(poses.from_matrix(pose)))
