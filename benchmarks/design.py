@@ -19,7 +19,7 @@ from scipy.optimize import differential_evolution
 
 import ikjax
 from ikjax.synthesis import ascent
-from ikjax.synthesis.vary import chosen
+from ikjax.synthesis.parameters import chosen
 
 EVALUATIONS, COST, FINISH = 1200, 6, 300
 """Of all goals; a gradient over a batch of them counts as its share of six."""

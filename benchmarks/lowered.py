@@ -4,11 +4,12 @@
     python benchmarks/lowered.py --check before.json
 
 For three families in both types: `solve` (an eager block, and in a jit), `project`, a gradient, a step of a
-sweep and a step of a design. Nothing is compiled. Names of functions are numbered in the order in which they
-appear, so that a rename does not count.
+sweep and a step of a design; for others some of these. Nothing of them is compiled. Names of functions are
+numbered in the order in which they appear, so that a rename does not count.
 """
 
 import argparse
+import dataclasses
 import hashlib
 import json
 import re
@@ -26,6 +27,9 @@ from ikjax.synthesis import ascent
 
 ARMS = {"puma560": "a2", "ur5": "a2", "so101": "a2"}
 """What a design of each varies."""
+
+FURTHER = ("stanford", "gx4_351s", "planar_prr", "ur5 with a correction")
+"""Other families in float32, of which fewer programs are looked at."""
 
 
 class LoweredError(Exception):
@@ -89,6 +93,32 @@ def programs(name: str, varied: str, dtype: str) -> dict[str, Callable[[], str]]
     }
 
 
+def further(name: str) -> dict[str, Callable[[], str]]:
+    arm = ikjax.robots.get(name.split()[0]).astype("float32")
+    if "correction" in name:
+        twist = jnp.asarray(np.random.default_rng(1).normal(scale=1e-3, size=(arm.n + 1, 6)), "float32")
+        arm = dataclasses.replace(arm, correction=twist)
+    q = jnp.asarray(np.random.default_rng(0).uniform(-1, 1, (6, arm.n)), "float32")
+    goals = ikjax.fk(arm, q)
+    found: dict[str, Callable[[], str]] = {
+        "solve, eager block": lambda: first_compiled(lambda: ikjax.solve(arm, goals)),
+        "solve in a jit": lambda: jax.jit(lambda T: ikjax.solve(arm, T)).lower(goals).as_text(),
+        "refine in a jit": lambda: jax.jit(lambda T: ikjax.refine(arm, T, q)).lower(goals).as_text(),
+        "quality": lambda: (
+            jax.jit(jax.grad(lambda q: (ikjax.manipulability(arm, q) + ikjax.sigma_min(arm, q)).sum()))
+            .lower(q)
+            .as_text()
+        ),
+    }
+    if not arm.task.startswith("planar"):
+        names = ["mean_manipulability", "best_sigma_min", "reachable_within"]
+        positions = ikjax.around(arm, 0.3)
+        found["sweep step"] = lambda: first_compiled(
+            lambda: ikjax.sweep(arm, positions, 64, dtype="float32", statistics=names)
+        )
+    return found
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path)
@@ -101,6 +131,7 @@ def main() -> int:
         for dtype in ("float32", "float64")
         for what, text in programs(name, varied, dtype).items()
     }
+    found |= {f"{name}: {what}": hash_of(text()) for name in FURTHER for what, text in further(name).items()}
     if options.out:
         options.out.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     if not options.check:

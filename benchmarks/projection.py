@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 import ikjax
 from ikjax.core import cores
 from ikjax.ik.batched import BLOCK, wide_vectors
-from ikjax.ik.refine import closed
+from ikjax.ik.multistart import closed
 
 LENGTH = 0.1
 CORES = cores.usable()

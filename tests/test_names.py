@@ -12,11 +12,11 @@ import pytest
 import ikjax
 from ikjax import cli
 from ikjax.cli import study_file
-from ikjax.maps import compare
+from ikjax.maps import reach_map
 from ikjax.maps.sets.positions import Grid
 from ikjax.maps.store import log
-from ikjax.synthesis.designed import Designed
-from ikjax.synthesis.placed import Bases
+from ikjax.synthesis.design import Designed
+from ikjax.synthesis.place import Bases
 
 NAME = (
     "</title><script>alert(1)</script><img src=q> ![x](/etc/hostname) [y](javascript:z) http://a.bc `|` {1+1}"
@@ -97,7 +97,7 @@ def test_a_stored_map_comes_back_under_its_name_and_differences_are_lines(reach,
     back = ikjax.ReachMap.load(tmp_path / "map.zarr")
     assert back.arm.name == ARM.name and back.arm.branches == ARM.branches
     is_one_line_of(ARM.name, back.summary())
-    text = compare.in_words(compare.compare(reach, back), "the first")
+    text = reach_map.in_words(reach_map.compare(reach, back), "the first")
     assert "\x1b" not in text
     from ikjax.maps.store import manifest
 
@@ -107,18 +107,18 @@ def test_a_stored_map_comes_back_under_its_name_and_differences_are_lines(reach,
 @pytest.mark.parametrize("change", [{"rolls": "1); evil("}, {"dtype": "evil"}, {"statistics": "../evil"}])
 def test_a_map_whose_spec_would_be_a_path_or_a_program_is_refused(reach, tmp_path, change):
     pytest.importorskip("tensorstore")
-    from ikjax.maps.store import layout
+    from ikjax.maps.store import manifest
 
     reach.save(tmp_path / "map.zarr")
     file = tmp_path / "map.zarr" / "zarr.json"
-    head = layout.read_group(file.read_bytes())
+    head = manifest.read_group(file.read_bytes())
     if name := change.pop("statistics", None):
         change = {"statistics": {name: head.spec["statistics"]["reachable"]}}
-    file.write_bytes(layout.group(head._replace(spec={**head.spec, **change})))
+    file.write_bytes(manifest.group(head._replace(spec={**head.spec, **change})))
     with pytest.raises(ValueError, match="no map that a sweep has written"):
         ikjax.ReachMap.load(tmp_path / "map.zarr")
     family = {**head.arm, "family": "evil"}
-    file.write_bytes(layout.group(head._replace(arm=family)))
+    file.write_bytes(manifest.group(head._replace(arm=family)))
     with pytest.raises(ValueError, match="no family 'evil'"):
         ikjax.ReachMap.load(tmp_path / "map.zarr")
 

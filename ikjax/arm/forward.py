@@ -250,3 +250,14 @@ def frames(arm: Arm, q) -> jax.Array:
     found = chain(arm, _columns(q))
     spread = [jax.tree.map(lambda x: x + zero, frame) for frame in (*found.before, found.last)]
     return jnp.stack([poses.to_matrix(frame) for frame in spread], axis=-3)
+
+
+def reach(arm: Arm) -> Scalar:
+    """Sum of the lengths in the table and the tool [m]: no tool point is further from the base.
+
+    It is also the unit of length everywhere. An arm without lengths, a bare wrist or a gantry, has 1 m: there
+    is nothing else to compare with.
+    """
+    tool = fixed_pose(arm.tool).position
+    total = sum(abs(x) for link in links(arm) for x in (link.a, link.d)) + sum(abs(x) for x in tool)
+    return total or 1.0 if isinstance(total, int | float) else jnp.where(total > 0, total, 1)

@@ -1,4 +1,4 @@
-"""How the tool moves when a joint moves, and when a number of the arm itself does.
+"""How the tool moves when a joint moves, and when a number of the arm itself does: twists, and `jacobian`.
 
 In scalars, in the world frame, at the tool point.
 Source: Spong, Robot Modeling and Control, equations (4.56)-(4.57); each number of a DH table turns or
@@ -9,8 +9,11 @@ import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
+import jax
+import jax.numpy as jnp
+
 from ikjax.arm.arm import Arm, numbers
-from ikjax.arm.forward import Chain, fixed_pose
+from ikjax.arm.forward import Chain, fixed_pose, fk, frames
 from ikjax.core import safe, vector
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Scalar
@@ -145,3 +148,25 @@ def _axis(frame: Pose, which: int) -> Vector:
 def _sum(twists: list[Twist], shares) -> Twist:
     pairs = zip(twists, shares, strict=True)
     return functools.reduce(Twist.plus, (twist.times(share) for twist, share in pairs), STILL)
+
+
+def jacobian(arm: Arm, q) -> jax.Array:
+    """Velocity of the tool for unit joint rates.
+
+    Args:
+        arm: The arm.
+        q: Joint values [rad, m], (..., n).
+
+    Returns:
+        (..., 6, n) in the world frame: three linear rows [m/s] for the tool point, then three
+        angular rows [rad/s].
+    """
+    before = frames(arm, q)[..., :-1, :, :]
+    axis, origin = before[..., :3, 2], before[..., :3, 3]
+    tip = fk(arm, q)[..., None, :3, 3]
+    turning = jnp.concatenate([jnp.cross(axis, tip - origin), axis], axis=-1)
+    sliding = jnp.concatenate([axis, jnp.zeros_like(axis)], axis=-1)
+    revolute = jnp.asarray([[kind == "R"] for kind in arm.kinds])
+    columns = jnp.where(jnp.broadcast_to(revolute, turning.shape), turning, sliding)
+    columns = jnp.swapaxes(columns, -1, -2)
+    return columns if arm.coupling is None else jnp.matmul(columns, jnp.asarray(arm.coupling))

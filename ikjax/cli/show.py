@@ -10,7 +10,7 @@ from typing import Any
 
 import ikjax
 from ikjax.cli.say import complain, say
-from ikjax.maps import compare
+from ikjax.maps import reach_map
 from ikjax.maps.store.storage import Place
 
 
@@ -79,8 +79,8 @@ def report(
                 raise
             complain(error)  # what is shown unasked may be left out
     if earlier is not None:
-        data["compared"] = compare.compare(earlier, reach)
-        text += f"\n{compare.in_words(data['compared'], str(earlier_name))}"
+        data["compared"] = reach_map.compare(earlier, reach)
+        text += f"\n{reach_map.in_words(data['compared'], str(earlier_name))}"
     say(options, text, data)
     return 0 if data.get("positions_reachable", data.get("goals_reachable", 1)) > 0 else 1
 

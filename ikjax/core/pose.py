@@ -17,6 +17,19 @@ from ikjax.core.trig import Scalar, atan2, sincos
 from ikjax.core.vector import Matrix, Vector
 from ikjax.core.warn import warn_of_degrees
 
+ROTATION_TOLERANCE = 1e-5
+"""|R^T R - I| beyond this is no rotation: `solve` masks the goal."""
+
+NEARLY_ROTATION = 1e-2
+"""Up to this, what goes to the nearest pose anyway takes the nearest rotation: three typed decimals."""
+
+WILD = 1e6
+"""Entries of a rotation count as no larger: the fourth power is finite in float32."""
+
+FAR = 1e6
+"""Goals further than so many reaches are answered as if they stood there."""
+
+
 NEAREST_WITHIN = 1e-2
 """The norm of R^T R - I up to which a matrix stands for the rotation nearest to it."""
 
@@ -314,3 +327,54 @@ def position(x, y, z, *, dtype=None) -> jax.Array:
     """A goal with no orientation to speak of, as (..., 4, 4): position [m], rotation identity."""
     xyz = jnp.broadcast_arrays(*(jnp.asarray(v, dtype) for v in (x, y, z)))
     return pose(jnp.stack(xyz, axis=-1), dtype=dtype)
+
+
+def clean(goal: Pose, reach: Scalar) -> tuple[Pose, jax.Array]:
+    """A goal that is finite, orthonormal and not absurdly far, and whether it was a pose at all."""
+    goal, off = _measured(goal, reach)
+    rigid = off <= ROTATION_TOLERANCE
+    return Pose(vector.orthonormal(_or_identity(rigid, goal.rotation)), goal.position), rigid
+
+
+def nearest_pose(rows: tuple[tuple[Scalar, ...], ...], reach: Scalar) -> tuple[Pose, jax.Array]:
+    """The pose nearest to a goal T_world_tool that need not be one, and by how much it is none.
+
+    Args:
+        rows: The goal's entries, four rows of four.
+        reach: Of the arm [m].
+
+    Returns:
+        The pose, its rotation in the place of one that is off by at most `NEARLY_ROTATION`, else a finite
+        stand-in that nothing may be measured against; and |R^T R - I|, infinite where no rotation is near: of
+        a reflection, of numbers that are not finite, of another bottom row.
+    """
+    rotation, position = tuple(row[:3] for row in rows[:3]), tuple(row[3] for row in rows[:3])
+    goal, off = _measured(Pose(rotation, position), reach)
+    for entry, wanted in zip(rows[3], (0, 0, 0, 1), strict=True):
+        off = jnp.where(entry == wanted, off, jnp.inf)
+    near = vector.nearest_rotation(_or_identity(off <= NEARLY_ROTATION, goal.rotation))
+    return Pose(near, goal.position), off
+
+
+def _measured(goal: Pose, reach: Scalar) -> tuple[Pose, jax.Array]:
+    """The goal with finite numbers, and |R^T R - I|, infinite where they were none or mirror."""
+    numbers = [*(c for row in goal.rotation for c in row), *goal.position]
+    finite = jnp.isfinite(numbers[0])
+    for number in numbers[1:]:
+        finite &= jnp.isfinite(number)
+    # A wild matrix must not overflow on its way to being refused.
+    rotation = tuple(
+        tuple(jnp.clip(c, -WILD, WILD) for c in row) for row in _or_identity(finite, goal.rotation)
+    )
+    far = FAR * reach
+    position = tuple(jnp.where(finite, jnp.clip(p, -far, far), 0) for p in goal.position)
+    proper = finite & (vector.determinant(rotation) > 0)
+    off = jnp.where(proper, vector.orthonormality_error(rotation), jnp.inf)
+    return Pose(rotation, position), off
+
+
+def _or_identity(good: jax.Array, rotation: vector.Matrix) -> vector.Matrix:
+    return tuple(
+        tuple(jnp.where(good, c, k) for c, k in zip(row, unit, strict=True))
+        for row, unit in zip(rotation, vector.IDENTITY, strict=True)
+    )

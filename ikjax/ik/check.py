@@ -7,13 +7,14 @@ import jax
 import numpy as np
 
 from ikjax.arm.arm import Arm
+from ikjax.arm.forward import reach
 from ikjax.arm.recognition import recognize
-from ikjax.core.pose import NEAREST_WITHIN
+from ikjax.core.pose import NEAREST_WITHIN, ROTATION_TOLERANCE
 from ikjax.core.warn import warn
 from ikjax.ik.refusal import refusal, what_was_found
 from ikjax.ik.solve import as_goals
 from ikjax.solvers.families import FAMILIES
-from ikjax.solvers.pipeline import ROTATION_TOLERANCE, TOLERANCE, as_solved, reach
+from ikjax.solvers.pipeline import TOLERANCE, as_solved
 
 FAR = 10
 """Goals beyond so many reaches are taken for millimetres: one within reach is, in millimetres, a hundred

@@ -21,13 +21,14 @@ import jax
 import jax.numpy as jnp
 
 from ikjax.arm.arm import Arm
+from ikjax.arm.forward import reach
 from ikjax.core.known import is_traced
-from ikjax.core.pose import Pose
+from ikjax.core.pose import Pose, clean
 from ikjax.core.xla import holder, opaque_one
 from ikjax.ik.results import Solutions
 from ikjax.solvers.context import in_bits
 from ikjax.solvers.families import FAMILIES
-from ikjax.solvers.pipeline import Slot, clean, reach, solve_scalars
+from ikjax.solvers.pipeline import Slot, solve_scalars
 
 FIELDS = ("valid", "margin", "continuum", "position_error", "rotation_error")
 

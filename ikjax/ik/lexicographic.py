@@ -19,12 +19,13 @@ import jax
 import jax.numpy as jnp
 
 from ikjax.arm.arm import Arm
+from ikjax.arm.forward import reach
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Scalar
 from ikjax.ik import newton
 from ikjax.ik.newton import Joints, State, Wish
-from ikjax.ik.projection import Projection
-from ikjax.solvers.pipeline import TURNING, reach
+from ikjax.ik.results import Projection
+from ikjax.solvers.pipeline import TURNING
 
 PRIORITIES = ("weighted", "position", "orientation")
 

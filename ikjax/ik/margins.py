@@ -11,10 +11,10 @@ import jax
 import jax.numpy as jnp
 
 from ikjax.arm.arm import Arm
+from ikjax.arm.forward import reach
 from ikjax.ik.quality import limit_distance
 from ikjax.ik.results import Solutions
 from ikjax.ik.select import within_limits
-from ikjax.solvers.pipeline import reach
 
 
 def smooth_max(x, blur=0.0, *, axis: int = -1, where=None, empty: float = 0.0) -> jax.Array:

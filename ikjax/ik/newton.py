@@ -25,7 +25,7 @@ import jax
 import jax.numpy as jnp
 
 from ikjax.arm.arm import Arm, numbers
-from ikjax.arm.forward import Chain, chain, fixed_pose, whole_turns
+from ikjax.arm.forward import Chain, chain, fixed_pose, reach, whole_turns
 from ikjax.arm.twists import Twist, of_joints, plane
 from ikjax.core import pose as poses
 from ikjax.core import safe, vector
@@ -34,7 +34,7 @@ from ikjax.core.pose import Pose
 from ikjax.core.trig import Scalar
 from ikjax.core.vector import plus, times
 from ikjax.ik.turns import nearest_turn
-from ikjax.solvers.pipeline import TURNING, reach
+from ikjax.solvers.pipeline import TURNING
 
 CONVERGED = {"float32": 2e-5, "float64": 1e-8}
 """The slope counts as zero below this; see `steepness`."""

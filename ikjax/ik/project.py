@@ -10,9 +10,8 @@ import numpy as np
 from ikjax.arm.arm import Arm
 from ikjax.core.known import as_array, stop_gradient
 from ikjax.ik import lexicographic as priorities
-from ikjax.ik.multistart import at_limits, scattered
-from ikjax.ik.projection import Projection
-from ikjax.ik.refine import STEPS, best_of, checked, descended
+from ikjax.ik.multistart import STEPS, at_limits, best_of, checked, descended, scattered
+from ikjax.ik.results import Projection
 from ikjax.solvers.families import FAMILIES
 
 SCATTERED, BESIDE = 64, 28
@@ -36,8 +35,8 @@ def project(
     `solve`, clamped. Limits, and joints too few, make basins that no branch leads to: starts beside them are
     for family `five_axis` those with joint 2 or 4 at a limit, and with joint 5 beyond the gap in its range
     (`ik.multistart`); else they are spread over the limits, always the same. An arm of no family starts
-    from 64 such. Each start ends where no small move improves it; that the best is the nearest of all poses is
-    not proved, and within tight limits it is not always (`benchmarks/projection.py` compares).
+    from 64 such. Each start ends where no small move improves it; that the best is the nearest of all
+    poses is not proved, and within tight limits it is not always (`benchmarks/projection.py` compares).
 
     Args:
         arm: Any arm of up to seven joints.

@@ -17,13 +17,13 @@ import jax
 import jax.numpy as jnp
 
 from ikjax.arm.arm import Arm
+from ikjax.arm.forward import reach
 from ikjax.core.linear import solve_symmetric
-from ikjax.core.pose import Pose
+from ikjax.core.pose import NEARLY_ROTATION, Pose, nearest_pose
 from ikjax.core.xla import holder, pinned
 from ikjax.ik import newton
 from ikjax.ik.inline import entries_of
 from ikjax.ik.lexicographic import SHARE, wish
-from ikjax.solvers.pipeline import NEARLY_ROTATION, nearest_pose, reach
 
 
 def with_slopes(arm: Arm, goals, q, bottom, length, converged, priority: str):

@@ -19,14 +19,13 @@ import jax.numpy as jnp
 
 from ikjax.arm import twists
 from ikjax.arm.arm import Arm, numbers
-from ikjax.arm.forward import chain, check_joints, fixed_pose, whole_turns
+from ikjax.arm.forward import chain, check_joints, fixed_pose, reach, whole_turns
 from ikjax.core import pose as poses
 from ikjax.core import safe
 from ikjax.core.singular import singular_values, volume
 from ikjax.core.trig import wrap
 from ikjax.core.xla import opaque_one
 from ikjax.ik.inline import jit_with_arm
-from ikjax.solvers.pipeline import reach
 
 
 def manipulability(arm: Arm, q, *, length=None) -> jax.Array:

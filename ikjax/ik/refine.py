@@ -1,32 +1,22 @@
 """`refine`: from given joints down to the nearest attainable pose.
 
-The default descends by damped Newton steps (`ik.newton`); any other loss by an optax optimiser.
-Called eagerly, all starts take a few steps, and those that are not down yet take more in turns.
+The default takes damped Newton steps (`ik.multistart`, `ik.newton`); a loss of the caller's own is minimised
+by an optax optimizer.
 """
-
-import dataclasses
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
+import optax
 
 from ikjax.arm.arm import Arm
-from ikjax.core.known import as_array, is_traced, stop_gradient
-from ikjax.core.pose import Pose
-from ikjax.core.xla import pinned
-from ikjax.ik import batched, newton
+from ikjax.arm.forward import fk, reach
+from ikjax.core.known import as_array
+from ikjax.core.pose import NEARLY_ROTATION, nearest_pose, pose_error, to_matrix
 from ikjax.ik import lexicographic as priorities
-from ikjax.ik.inline import Entries, entries_of
-from ikjax.ik.lossy import minimised
-from ikjax.ik.project_gradient import with_slopes
-from ikjax.ik.projection import Projection
-from ikjax.ik.solve import as_goals
-from ikjax.solvers.pipeline import NEARLY_ROTATION, nearest_pose, proposed, reach
-
-STEPS = 60
-FIRST = 6
-"""Steps that every start of an eager call takes; those not down yet take as many again, and so on."""
+from ikjax.ik import newton
+from ikjax.ik.inline import entries_of
+from ikjax.ik.multistart import STEPS, best_of, checked, descended
+from ikjax.ik.results import Projection
 
 
 def refine(
@@ -99,199 +89,47 @@ def refine(
     return best_of(arm, goals, descended(arm, goals, starts, length, steps, priority), priority)
 
 
-def checked(arm: Arm, goals, length, steps: int) -> tuple[jax.Array, Arm]:
-    goals = as_goals(goals)
-    if not isinstance(steps, int | np.integer) or steps < 0:
-        raise ValueError(f"steps must be a whole number, not negative, got {steps!r}")
-    if np.ndim(length) or (not isinstance(length, jax.core.Tracer) and not 0 < float(length) < np.inf):
-        raise ValueError(f"length must be a positive number of metres, got {length}")
-    return goals, arm.baked().astype(goals.dtype)
+def minimised(arm: Arm, goals: jax.Array, starts: jax.Array, loss, optimizer, steps: int) -> Projection:
+    """The best of all steps from each start (..., S, n), fields (..., S); arguments as in `refine`.
 
+    The loss is handed the pose nearest to each goal, or the goal as it is where there is none.
+    """
+    optimizer = optax.adam(0.02) if optimizer is None else optimizer
+    columns = newton.into_limits(arm, tuple(starts[..., i] for i in range(arm.n)))
+    starts, size = jnp.stack(columns, axis=-1), jnp.asarray(reach(arm), goals.dtype)
+    low, high = arm.limits[:, 0], arm.limits[:, 1]
 
-def best_of(arm: Arm, goals, branches: Projection, priority: str = "weighted") -> Projection:
-    """The start that came out lowest, the first of several that are level, and all of them."""
-    best = priorities.best(arm, branches, priority)
+    def one(goal, q0):
+        slope = jax.value_and_grad(lambda q: loss(arm, goal, q))
 
-    def pick(x: jax.Array) -> jax.Array:
-        index = best.reshape(*best.shape, *[1] * (x.ndim - best.ndim))
-        return jnp.take_along_axis(x, index, axis=best.ndim).squeeze(best.ndim)
+        def look(q, best):
+            value, grad = slope(q)
+            # A loss that is no number is no best, and its slope leads nowhere.
+            grad = jnp.where(jnp.isfinite(grad), grad, 0)
+            free = jnp.where(((q <= low) & (grad > 0)) | ((q >= high) & (grad < 0)), 0, grad)
+            now = q, value, jnp.sqrt(jnp.sum(free * free))
+            return grad, jax.tree.map(lambda new, old: jnp.where(value < best[1], new, old), now, best)
 
-    fields = {k: pick(x) for k, x in vars(branches).items() if x is not None}
-    return Projection(**fields, goal_error=goal_error(goals), branches=branches)
+        def step(carry, _):
+            q, inner, best = carry
+            grad, best = look(q, best)
+            # Optax mixes types as the caller's settings may forbid.
+            with jax.numpy_dtype_promotion("standard"):
+                moves, inner = optimizer.update(grad, inner, q)
+            return (jnp.clip(optax.apply_updates(q, moves), low, high), inner, best), None
 
+        none = q0, jnp.full((), jnp.inf, q0.dtype), jnp.zeros((), q0.dtype)
+        (q, _, best), _ = jax.lax.scan(step, (q0, optimizer.init(q0), none), length=steps)
+        return look(q, best)[1]
 
-def descended(
-    arm: Arm, goals: jax.Array, starts, length, steps: int, priority: str = "weighted"
-) -> Projection:
-    """Every start (..., S, n) after its steps, fields (..., S); the closed form's own where it is None."""
-    length = as_array(length, goals.dtype)
-    if not is_traced((arm, goals, starts, length)):
-        return _in_blocks(arm, goals, starts, length, steps, priority)
-    still = stop_gradient((arm, goals, starts, length))
-    arm_still = still[0].baked()
-    columns = None if starts is None else tuple(still[2][..., i] for i in range(arm.n))
-    if columns is not None:
-        columns = tuple(jnp.moveaxis(x, -1, 0) for x in columns)
-    entries = entries_of(still[1])
-    if columns is None and steps == 0:
-        found = jax.tree.map(lambda *slots: jnp.stack(slots), *closed(arm_still, entries, still[3]))
-    else:
-        goal, proper, near = asked(arm_still, entries)
-        columns = proposals(arm_still, goal, near) if columns is None else columns
-        found = from_starts(arm_still, goal, proper, columns, still[3], steps, None, priority)
-    shape = found.cost.shape
-
-    def rows(x):
-        return jnp.moveaxis(jnp.broadcast_to(x, shape), 0, -1)
-
-    q, bottom = (jnp.stack([rows(x) for x in joints], axis=-1) for joints in (found.q, found.bottom))
-    fields = {name: rows(getattr(found, name)) for name in FIELDS}
-    q, errors = with_slopes(arm, goals, q, bottom, length, fields["converged"], priority)
-    return Projection(q=q, **{**fields, **errors})
-
-
-FIELDS = ("cost", "position_error", "rotation_error", "gradient_norm", "converged")
-
-
-class Found(NamedTuple):
-    """Of `Projection`, starts first."""
-
-    q: tuple
-    cost: jax.Array
-    position_error: jax.Array
-    rotation_error: jax.Array
-    gradient_norm: jax.Array
-    converged: jax.Array
-    damping: jax.Array
-    bottom: tuple
-    """Joints at which the slopes are taken."""
-
-
-def closed(arm: Arm, entries: Entries, length) -> list[Found]:
-    """Every slot of the closed form within the limits, each by itself: a stack of them would be computed
-    number by number."""
-    goal, proper, near = asked(arm, entries)
-    shape, slots = goal.position[0].shape, []
-    for q in proposed(arm, goal, near):
-        held = tuple(near(jnp.broadcast_to(x, shape)) for x in newton.into_limits(arm, q))
-        found = _from_starts(arm, goal, proper, held, length, 0, None, "weighted", near)
-        slots.append(found._replace(cost=near(found.cost)))
-    return slots
-
-
-def asked(arm: Arm, entries: Entries):
-    """The nearest pose in scalars, whether there is one, and what holds numbers of its shape."""
-    goal, off = nearest_pose(entries, reach(arm))
-    near = pinned(entries[0][3])
-    return jax.tree.map(near, goal), off <= NEARLY_ROTATION, near
-
-
-@jax.jit
-def goal_error(goals: jax.Array) -> jax.Array:
-    """By how much goals (..., 4, 4) are no poses, (...)."""
-    return jax.lax.stop_gradient(nearest_pose(entries_of(goals), 1.0)[1])
-
-
-def proposals(arm: Arm, goal: Pose, near) -> tuple[jax.Array, ...]:
-    """The closed form's joints, each (S, ...)."""
-    shape = goal.position[0].shape
-    columns = zip(*proposed(arm, goal, near), strict=True)
-    return tuple(jnp.stack([jnp.broadcast_to(x, shape) for x in column]) for column in columns)
-
-
-def from_starts(
-    arm: Arm, goal: Pose, proper, starts, length, steps, damping, priority: str = "weighted"
-) -> Found:
-    """All starts after their steps."""
-    starts = newton.into_limits(arm, starts)
-    goal = jax.tree.map(lambda x: x[None], goal)
-    return _from_starts(arm, goal, proper[None], starts, length, steps, damping, priority, lambda x: x)
-
-
-def _from_starts(arm: Arm, goal: Pose, proper, starts, length, steps, damping, priority: str, hold) -> Found:
-    """Starts within the limits; what stands for the goal has their shape."""
-    state, flat, bottom = priorities.descend(arm, goal, length, priority, starts, steps, pinned, damping)
-    flat = hold(flat)
-    at, size = state.at, reach(arm)
-    seen = newton.is_seen(arm, goal, at, length)
-    down = proper & seen & (flat <= newton.CONVERGED[flat.dtype.name])
-    cost = size * size * at.cost
-    if priority != "weighted":
-        cost = (size * at.gap) ** 2 + (length * at.angle) ** 2
-    # Nothing is measured against what stands for a goal that is no pose, and the arm does not move to it.
-    q = tuple(jnp.where(proper, x, y) for x, y in zip(state.q, starts, strict=True))
-    cost, gap, angle, flat = (jnp.where(proper, x, jnp.nan) for x in (cost, size * at.gap, at.angle, flat))
-    return Found(q, cost, gap, angle, flat, down, state.damping, bottom)
-
-
-@dataclasses.dataclass(frozen=True)
-class _Descending:
-    """A block of goals; each row holds what a radian is worth to it, and the steps, alike in all."""
-
-    priority: str
-
-    def __call__(self, arm: Arm, rows) -> dict[str, jax.Array]:
-        goals, length, steps, starts, damping = rows
-        columns = batched.columns_of(goals)
-        entries = tuple(tuple(columns[4 * i + j] for j in range(4)) for i in range(4))
-        if starts is not None:
-            spread = batched.columns_of(starts).reshape(*starts.shape[1:], -1)
-            starts = tuple(spread[:, i] for i in range(arm.n))
-            damping = None if damping is None else batched.columns_of(damping)
-        goal, proper, near = asked(arm, entries)
-        starts = proposals(arm, goal, near) if starts is None else starts
-
-        def of_one(start):
-            q, easing = jax.tree.map(lambda x: x[None], start)
-            worth = length[None, :, 0]
-            found = from_starts(arm, goal, proper, q, worth, steps[0, 0], easing, self.priority)
-            return jax.tree.map(lambda x: x[0], found)
-
-        # One start after the other: what lies between two steps of all of them is more than a cache holds.
-        found = jax.lax.map(of_one, (starts, damping))
-        count = found.cost.shape[0]
-        fields = {name: batched.packed(list(getattr(found, name))) for name in (*FIELDS, "damping")}
-        q = batched.packed([x[s] for s in range(count) for x in found.q])
-        return {**fields, "q": q.reshape(-1, count, arm.n)}
-
-
-@dataclasses.dataclass(frozen=True)
-class _Closed:
-    """A block of goals, the closed form alone."""
-
-    def __call__(self, arm: Arm, rows) -> dict[str, jax.Array]:
-        goals, length = rows
-        columns = batched.columns_of(goals)
-        entries = tuple(tuple(columns[4 * i + j] for j in range(4)) for i in range(4))
-        slots = closed(arm, entries, length[:, 0])
-        fields = {name: batched.packed([getattr(slot, name) for slot in slots]) for name in FIELDS}
-        q = batched.packed([x for slot in slots for x in slot.q])
-        return {**fields, "q": q.reshape(-1, len(slots), arm.n)}
-
-
-def _in_blocks(arm: Arm, goals: jax.Array, starts, length, steps: int, priority: str) -> Projection:
-    batch, flat = goals.shape[:-2], goals.reshape(-1, 4, 4)
-    worth = jnp.broadcast_to(length, (flat.shape[0], 1))
-    if starts is None and steps == 0:
-        found = batched.in_blocks(_Closed(), arm, (flat, worth))
-        return Projection(**{name: x.reshape(*batch, *x.shape[1:]) for name, x in found.items()})
-    if starts is not None:
-        starts = starts.reshape(-1, *starts.shape[-2:])
-    few = jnp.full(worth.shape, min(steps, FIRST), jnp.int32)
-    block = _Descending(priority)
-    found = batched.in_blocks(block, arm, (flat, worth, few, starts, None))
-    done = FIRST
-    while done < steps:
-        late = np.nonzero(~np.asarray(found["converged"]))
-        if not late[0].size:
-            break
-        # Few are left after each turn, and all of a block take as many steps.
-        more = done if 3 * done < steps else steps - done
-        at, slot = (jnp.asarray(x) for x in late)
-        q, damping = found["q"][at, slot][:, None], found["damping"][at, slot][:, None]
-        turn = jnp.full((*at.shape, 1), more, jnp.int32)
-        rest = batched.in_blocks(block, arm, (flat[at], worth[at], turn, q, damping))
-        found = {name: x.at[at, slot].set(rest[name][:, 0]) for name, x in found.items()}
-        done += more
-    del found["damping"]
-    return Projection(**{name: x.reshape(*batch, *x.shape[1:]) for name, x in found.items()})
+    pose, off = nearest_pose(entries_of(goals), jax.lax.stop_gradient(size))
+    proper = off <= NEARLY_ROTATION
+    goals = jnp.where(proper[..., None, None], to_matrix(pose), goals)
+    flat = starts.reshape(-1, *starts.shape[-2:])
+    found = jax.vmap(jax.vmap(one, (None, 0)))(goals.reshape(-1, 4, 4), flat)
+    q, value, steep = (x.reshape(*starts.shape[:-1], *x.shape[2:]) for x in found)
+    proper = proper[..., None]
+    errors = pose_error(fk(arm, q), goals[..., None, :, :])
+    gap, angle = (jnp.where(proper, x, jnp.nan) for x in errors)
+    down = proper & jnp.isfinite(value) & (steep <= newton.CONVERGED[q.dtype.name])
+    return Projection(q, value, gap, angle, steep, down)

@@ -24,14 +24,13 @@ from jax.custom_derivatives import SymbolicZero
 
 from ikjax.arm import twists
 from ikjax.arm.arm import Arm
-from ikjax.arm.forward import chain, fixed_pose
+from ikjax.arm.forward import chain, fixed_pose, reach
 from ikjax.core import pose as poses
 from ikjax.core import vector
 from ikjax.core.linear import solve_symmetric
 from ikjax.core.trig import Scalar
 from ikjax.core.xla import holder, opaque_one
 from ikjax.ik.inline import entries_of, slots_of
-from ikjax.solvers.pipeline import reach
 
 DAMPING = 16
 """In square roots of the type's rounding: below it, J^T J is rounding."""

@@ -12,12 +12,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from ikjax.arm.arm import Arm
+from ikjax.arm.forward import reach
 from ikjax.core.known import as_array, stop_gradient
 from ikjax.ik import newton
 from ikjax.ik.inline import entries_of, jit_with_arm
-from ikjax.ik.refine import asked, checked, from_starts, goal_error, proposals
+from ikjax.ik.multistart import asked, checked, from_starts, goal_error, proposals
+from ikjax.ik.results import Path
 from ikjax.ik.solve import check_family
-from ikjax.solvers.pipeline import TOLERANCE, reach
+from ikjax.solvers.pipeline import TOLERANCE
 
 STEPS = 24
 
@@ -26,31 +28,6 @@ LEAP = 0.5
 
 SLACK = 1e-3
 """As a share of the reach."""
-
-
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True, eq=False)
-class Path:
-    """Where the arm stands along a path of T goals."""
-
-    q: jax.Array
-    """(..., T, n) joint values [rad, m], within the limits, turns counted on from q0."""
-    followed: jax.Array
-    """(..., T) bool: on the branch it was on, without a leap. Where neither followed nor jumped, the goal
-    is no pose, and the arm waits."""
-    jumped: jax.Array
-    """(..., T) bool: another branch was taken, or a joint moved by more than `leap`."""
-    reached: jax.Array
-    """(..., T) bool: the goal itself, or the pose nearest to it, is attained to the tolerance of `solve`."""
-    cost: jax.Array
-    """(..., T) |dp|^2 + (length * angle)^2 [m^2]."""
-    position_error: jax.Array
-    """(..., T) [m]"""
-    rotation_error: jax.Array
-    """(..., T) [rad]; like the cost and the position error NaN where the goal is no pose."""
-    goal_error: jax.Array | None = None
-    """(..., T) |R^T R - I| of each goal as given. Up to 1e-2 its nearest rotation is the goal, beyond that it
-    is no pose; see `Projection`."""
 
 
 def track(

@@ -10,11 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from ikjax.arm.arm import Arm
-from ikjax.arm.forward import fk, frames
-from ikjax.arm.jacobian import jacobian
+from ikjax.arm.forward import fk, frames, reach
+from ikjax.arm.twists import jacobian
 from ikjax.ik.multistart import ranges
 from ikjax.ik.solve import check_family, solve
-from ikjax.solvers.pipeline import TOLERANCE, reach
+from ikjax.solvers.pipeline import TOLERANCE
 
 BATCH = 20_000
 REGULAR = {"float32": 3e-2, "float64": 1e-4}

@@ -1,4 +1,4 @@
-"""The map a sweep makes: what it says, in arrays and in words."""
+"""The map that a sweep makes, in arrays and in words; and two of them compared."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -12,7 +12,7 @@ from ikjax.maps.sets.orientations import Orientations, rotations_of
 from ikjax.maps.sets.orientations import from_spec as orientations_from
 from ikjax.maps.sets.positions import Grid, Shell
 from ikjax.maps.sets.surface import Surface
-from ikjax.maps.store import layout, manifest, store
+from ikjax.maps.store import manifest, store
 from ikjax.maps.store.lock import Lock
 from ikjax.maps.store.storage import Place
 
@@ -226,12 +226,12 @@ class ReachMap:
         Raises:
             FileExistsError: Something is there.
         """
-        fixed = layout.fixed(self.grid, self.directions)
+        fixed = manifest.fixed(self.grid, self.directions)
         study = manifest.of_study(
             self.arm, self.grid, self.directions, self.rolls, self.dtype, self.told, fixed
         )
-        chunk = layout.default_chunk(self.grid.shape, self.orientations) if chunk is None else tuple(chunk)
-        head = layout.Head(study, manifest.of_arm(self.arm), chunk, "sweeping", 0.0)
+        chunk = manifest.default_chunk(self.grid.shape, self.orientations) if chunk is None else tuple(chunk)
+        head = manifest.Head(study, manifest.of_arm(self.arm), chunk, "sweeping", 0.0)
         place, values = Place(out), self.to_numpy()
         with Lock(place):
             disk = store.begin(place, head, fixed, resume=False, force=force, chunk_given=True)
@@ -273,3 +273,44 @@ def _positions(said: dict, known: dict[str, np.ndarray]) -> Grid | Shell | Surfa
     if said["kind"] == "Shell":
         return Shell(tuple(said["centre"]), tuple(said["radii"]), said["directions"])
     return Grid(tuple(said["origin"]), said["spacing"], tuple(said["shape"]))
+
+
+FIGURES = (
+    ("goals", "{:,.0f}"),
+    ("reach", "{:.3f} m"),
+    ("height", "{:+.3f} m"),
+    ("volume", "{:.3f} m^3"),
+    ("mean_dexterity", "{:.2%}"),
+    ("best_dexterity", "{:.2%}"),
+    ("dexterous_volume", "{:.3f} m^3"),
+    ("solutions_per_goal", "{:.3f}"),
+    ("solutions_per_goal_within", "{:.3f}"),
+    ("goals_per_second", "{:,.0f}"),
+)
+
+
+def compare(then: ReachMap, now: ReachMap) -> dict[str, Any]:
+    """The figures of both by name, as [then, now]; on one grid also `positions_that_differ`."""
+    before, after = then.numbers(), now.numbers()
+    shared = [name for name, _ in FIGURES if name in before and name in after]
+    figures: dict[str, Any] = {name: [before[name], after[name]] for name in shared}
+    if then.grid == now.grid and then.orientations == now.orientations and "reach" in shared:
+        differ = then.reachable_within != now.reachable_within
+        figures["positions_that_differ"] = int(differ.sum())
+    return figures
+
+
+def in_words(figures: dict[str, Any], then: str) -> str:
+    """What `compare` found, a line a figure."""
+    lines = [f"compared with {then}"]
+    for name, form in FIGURES:
+        if name not in figures:
+            continue
+        before, after = figures[name]
+        share = f" ({after / before - 1:+.1%})" if before and before != after else ""
+        lines.append(f"  {name.replace('_', ' '):26} {form.format(before)} -> {form.format(after)}{share}")
+    if "positions_that_differ" in figures:
+        lines.append(f"  {'positions that differ':26} {figures['positions_that_differ']:,}")
+    else:
+        lines.append("  positions or orientations are others, so they are not compared one by one")
+    return "\n".join(lines)

@@ -20,7 +20,7 @@ from ikjax.maps.kernel.loop import POSITIONS
 from ikjax.maps.kernel.program import Kernel
 from ikjax.maps.statistics import Plan
 from ikjax.maps.store import log
-from ikjax.maps.store.layout import Head
+from ikjax.maps.store.manifest import Head
 
 IN_FLIGHT = 2
 """Units that are being written while the next is computed."""

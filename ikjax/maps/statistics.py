@@ -27,9 +27,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ikjax.arm.arm import Arm
-from ikjax.maps.custom import Near
-from ikjax.maps.kernel import measures
-from ikjax.maps.kernel.measures import Measure
+from ikjax.maps.custom import Measure, Near
+from ikjax.maps.kernel import joint_measures
 from ikjax.maps.kernel.sample import GROUP, Goal, Lane
 
 Own = Measure | Near
@@ -158,14 +157,16 @@ def _build(arm: Arm, name: str, orientations: int, rolls: int) -> tuple[Statisti
         lane = Lane("max", functools.partial(_margin, inside=inside))
         return Statistic("float32", (name,), _column), {name: lane}
     if base == "best_limit_distance":
-        lane = Lane("max", measures.best_limit_distance, held=True)
+        lane = Lane("max", joint_measures.best_limit_distance, held=True)
         return Statistic("float32", (name,), _column), {name: lane}
     kind, _, what = base.partition("_")
     if kind == "best":
-        lane = Lane("max", functools.partial(measures.best, what=what, inside=inside), held=True)
+        lane = Lane("max", functools.partial(joint_measures.best, what=what, inside=inside), held=True)
         return Statistic("float32", (name,), _column), {name: lane}
-    unit = measures.unit_of_mean(slots, rolls)
-    lane = Lane("sum", functools.partial(measures.total, what=what, inside=inside, unit=unit), held=True)
+    unit = joint_measures.unit_of_mean(slots, rolls)
+    lane = Lane(
+        "sum", functools.partial(joint_measures.total, what=what, inside=inside, unit=unit), held=True
+    )
     number = f"solutions{'_within' if inside else ''}"
     lanes = {name: lane} | _build(arm, number, orientations, rolls)[1]
     return Statistic(

@@ -23,7 +23,7 @@ from ikjax.maps.runner import Stop, SweepStoppedError, run
 from ikjax.maps.sets.orientations import Orientations, as_orientations
 from ikjax.maps.sets.positions import Grid, Shell
 from ikjax.maps.sets.surface import Surface
-from ikjax.maps.store import layout, log, manifest, store
+from ikjax.maps.store import log, manifest, store
 from ikjax.maps.store.lock import Lock
 from ikjax.maps.store.storage import Place
 from ikjax.solvers.pipeline import TOLERANCE
@@ -96,11 +96,11 @@ def sweep(
     arm = jax.tree.map(lambda leaf: leaf.copy() if isinstance(leaf, np.ndarray) else leaf, arm)
     turns = as_orientations(orientations)
     plan = _plan(arm.astype(dtype), statistics, turns, rolls, certify)
-    fixed = layout.fixed(positions, turns)
+    fixed = manifest.fixed(positions, turns)
     study = manifest.of_study(arm, positions, turns, rolls, dtype.name, plan.told(), fixed)
     kernel = kernel_of(arm, positions, turns, rolls, dtype, plan)
     wanted = _chunk(chunk, positions.shape, turns.count, kernel)
-    head = layout.Head(study, manifest.of_arm(arm), wanted, "sweeping", 0.0)
+    head = manifest.Head(study, manifest.of_arm(arm), wanted, "sweeping", 0.0)
 
     def work(sink, todo: list[int], done: int, diary: log.Log) -> float:
         return run(sink, todo, kernel, plan, done=done, progress=progress, stop=stop, diary=diary)
@@ -133,7 +133,7 @@ def sweep(
 
 
 @contextlib.contextmanager
-def _opened(place: Place, head: layout.Head, fixed: manifest.Fixed, begin: Callable[..., store.Store]):
+def _opened(place: Place, head: manifest.Head, fixed: manifest.Fixed, begin: Callable[..., store.Store]):
     """The store of a sweep, opened by the first process and joined by the others."""
     crew = Crew()
     with contextlib.ExitStack() as stack:
@@ -146,11 +146,11 @@ def _opened(place: Place, head: layout.Head, fixed: manifest.Fixed, begin: Calla
             units = Units(len(disk.units), sum(survey.good), survey.missing, survey.damaged)
             diary.begun(disk.head, units)
             bits = np.packbits(survey.good).tobytes().hex()
-            crew.tell("begun", {"document": layout.group(disk.head).decode(), "good": bits, "units": units})
+            crew.tell("begun", {"document": manifest.group(disk.head).decode(), "good": bits, "units": units})
             yield crew, disk, survey.good, units, diary
             return
         said = crew.hear("begun")
-        found = layout.read_group(said["document"].encode())
+        found = manifest.read_group(said["document"].encode())
         if found is None or found.spec != head.spec:
             raise ValueError("the first process sweeps another study")
         disk, units = store.Store(place, found, fixed), Units(*said["units"])
@@ -199,8 +199,8 @@ def _plan(
 def _chunk(chunk, shape: tuple[int, ...], orientations: int, kernel: Kernel) -> tuple[int, ...]:
     rate = kernel.suit(CALL_SECONDS)
     if chunk is None:
-        goals = min(layout.GOALS, 2.0 ** np.floor(np.log2(UNIT_SECONDS * rate)))
-        return layout.default_chunk(shape, orientations, goals)
+        goals = min(manifest.GOALS, 2.0 ** np.floor(np.log2(UNIT_SECONDS * rate)))
+        return manifest.default_chunk(shape, orientations, goals)
     edges = np.asarray(chunk)
     if edges.shape != (len(shape),) or edges.dtype.kind not in "iu" or (edges < 1).any():
         raise ValueError(f"chunk must be {len(shape)} whole numbers above zero, got {chunk}")
@@ -210,16 +210,16 @@ def _chunk(chunk, shape: tuple[int, ...], orientations: int, kernel: Kernel) -> 
 class _Memory:
     """Where the units of a sweep without a store go."""
 
-    def __init__(self, head: layout.Head, plan: statistics.Plan):
+    def __init__(self, head: manifest.Head, plan: statistics.Plan):
         self.place, self.head = None, head
-        self.units = layout.units(head.shape, head.chunk)
+        self.units = manifest.units(head.shape, head.chunk)
         self.arrays = {
             name: np.empty((*head.shape, *(size for _, size in statistic.more)), statistic.dtype)
             for name, statistic in plan.statistics.items()
         }
 
     def box(self, number: int) -> tuple[slice, ...]:
-        return layout.box(self.units[number], self.head.shape, self.head.chunk)
+        return manifest.box(self.units[number], self.head.shape, self.head.chunk)
 
     def put(self, number: int, values: Mapping[str, np.ndarray]) -> None:
         for name, value in values.items():

@@ -12,11 +12,11 @@ import shlex
 import numpy as np
 
 from ikjax.core.text import html
-from ikjax.maps import compare, statistics
-from ikjax.maps.reach_map import ReachMap
+from ikjax.maps import statistics
+from ikjax.maps.reach_map import ReachMap, compare, in_words
 from ikjax.maps.sets.orientations import Cone, Even
 from ikjax.maps.sets.positions import Grid
-from ikjax.maps.store import layout, manifest
+from ikjax.maps.store import manifest
 from ikjax.plot.bars import histogram
 from ikjax.plot.contrast import comparison
 from ikjax.plot.disc import globe
@@ -64,9 +64,7 @@ def page(reach: ReachMap, then: ReachMap | None = None, name: str = "map.zarr") 
         plt.close(figure)
 
     if then is not None:
-        parts.append(
-            f"<h2>Compared</h2>\n{_text(compare.in_words(compare.compare(then, reach), 'the first map'))}"
-        )
+        parts.append(f"<h2>Compared</h2>\n{_text(in_words(compare(then, reach), 'the first map'))}")
     if then is not None and then.grid == reach.grid and _counted(then) and _counted(reach):
         words = "Orange has lost and purple has gained; dots: newly reached, strokes: no longer reached."
         show("Second against first", words, comparison(then, reach))
@@ -141,7 +139,7 @@ def _places(reach: ReachMap) -> np.ndarray:
 
 
 def _study(reach: ReachMap) -> dict:
-    fixed = layout.fixed(reach.grid, reach.directions)
+    fixed = manifest.fixed(reach.grid, reach.directions)
     parts = (reach.arm, reach.grid, reach.directions, reach.rolls, reach.dtype)
     return manifest.of_study(*parts, reach.told, fixed)
 

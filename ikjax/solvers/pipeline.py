@@ -24,6 +24,7 @@ from ikjax.arm.forward import (
     fixed_pose,
     known_sincos,
     links,
+    reach,
     strip,
     whole_turns,
 )
@@ -39,20 +40,9 @@ from ikjax.solvers.given_arm import Given, polished
 TOLERANCE = {"float32": 2e-5, "float64": 1e-9}
 """A slot is valid when its pose is this close, [rad] and as a share of (reach + |p|)."""
 
-ROTATION_TOLERANCE = 1e-5
-"""|R^T R - I| beyond this is no rotation: `solve` masks the goal."""
-
-NEARLY_ROTATION = 1e-2
-"""Up to this, what goes to the nearest pose anyway takes the nearest rotation: three typed decimals."""
 
 TURNING = ("pose", "planar_pose")
 """Tasks that ask for an orientation."""
-
-WILD = 1e6
-"""Entries of a rotation count as no larger: the fourth power is finite in float32."""
-
-FAR = 1e6
-"""Goals further than so many reaches are answered as if they stood there."""
 
 
 class Slot(NamedTuple):
@@ -110,17 +100,6 @@ class Frame(NamedTuple):
     arm as recognised and need not be on the arm as given."""
 
 
-def reach(arm: Arm) -> Scalar:
-    """Sum of the lengths in the table and the tool [m]: no tool point is further from the base.
-
-    It is also the unit of length everywhere. An arm without lengths, a bare wrist or a gantry, has 1 m: there
-    is nothing else to compare with.
-    """
-    tool = fixed_pose(arm.tool).position
-    total = sum(abs(x) for link in links(arm) for x in (link.a, link.d)) + sum(abs(x) for x in tool)
-    return total or 1.0 if isinstance(total, int | float) else jnp.where(total > 0, total, 1)
-
-
 def prepare(arm: Arm) -> Frame:
     """Everything that depends on the arm alone."""
     size = reach(arm)
@@ -158,57 +137,6 @@ def _sum_off(arm: Arm, per: Scalar) -> Scalar:
 
 def _wrapped(theta: Scalar) -> Scalar:
     return math.remainder(theta, 2 * math.pi) if isinstance(theta, float) else wrap(theta)
-
-
-def clean(goal: Pose, reach: Scalar) -> tuple[Pose, jax.Array]:
-    """A goal that is finite, orthonormal and not absurdly far, and whether it was a pose at all."""
-    goal, off = _measured(goal, reach)
-    rigid = off <= ROTATION_TOLERANCE
-    return Pose(vector.orthonormal(_or_identity(rigid, goal.rotation)), goal.position), rigid
-
-
-def nearest_pose(rows: tuple[tuple[Scalar, ...], ...], reach: Scalar) -> tuple[Pose, jax.Array]:
-    """The pose nearest to a goal T_world_tool that need not be one, and by how much it is none.
-
-    Args:
-        rows: The goal's entries, four rows of four.
-        reach: Of the arm [m].
-
-    Returns:
-        The pose, its rotation in the place of one that is off by at most `NEARLY_ROTATION`, else a finite
-        stand-in that nothing may be measured against; and |R^T R - I|, infinite where no rotation is near: of
-        a reflection, of numbers that are not finite, of another bottom row.
-    """
-    rotation, position = tuple(row[:3] for row in rows[:3]), tuple(row[3] for row in rows[:3])
-    goal, off = _measured(Pose(rotation, position), reach)
-    for entry, wanted in zip(rows[3], (0, 0, 0, 1), strict=True):
-        off = jnp.where(entry == wanted, off, jnp.inf)
-    near = vector.nearest_rotation(_or_identity(off <= NEARLY_ROTATION, goal.rotation))
-    return Pose(near, goal.position), off
-
-
-def _measured(goal: Pose, reach: Scalar) -> tuple[Pose, jax.Array]:
-    """The goal with finite numbers, and |R^T R - I|, infinite where they were none or mirror."""
-    numbers = [*(c for row in goal.rotation for c in row), *goal.position]
-    finite = jnp.isfinite(numbers[0])
-    for number in numbers[1:]:
-        finite &= jnp.isfinite(number)
-    # A wild matrix must not overflow on its way to being refused.
-    rotation = tuple(
-        tuple(jnp.clip(c, -WILD, WILD) for c in row) for row in _or_identity(finite, goal.rotation)
-    )
-    far = FAR * reach
-    position = tuple(jnp.where(finite, jnp.clip(p, -far, far), 0) for p in goal.position)
-    proper = finite & (vector.determinant(rotation) > 0)
-    off = jnp.where(proper, vector.orthonormality_error(rotation), jnp.inf)
-    return Pose(rotation, position), off
-
-
-def _or_identity(good: jax.Array, rotation: vector.Matrix) -> vector.Matrix:
-    return tuple(
-        tuple(jnp.where(good, c, k) for c, k in zip(row, unit, strict=True))
-        for row, unit in zip(rotation, vector.IDENTITY, strict=True)
-    )
 
 
 def solve_scalars(

@@ -15,7 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ikjax.arm.arm import Arm
-from ikjax.core.pose import Pose
+from ikjax.arm.forward import reach
+from ikjax.core.pose import Pose, clean
 from ikjax.core.xla import holder
 from ikjax.ik.batched import wide_vectors
 from ikjax.ik.inline import is_small
@@ -23,7 +24,7 @@ from ikjax.maps.kernel.sample import Goal
 from ikjax.maps.reach_map import ReachMap
 from ikjax.maps.sets.hopf import Hopf
 from ikjax.maps.sets.positions import Grid
-from ikjax.solvers.pipeline import clean, reach, solve_scalars
+from ikjax.solvers.pipeline import solve_scalars
 from ikjax.synthesis.ascent import Known
 
 BLOCK = 2**14

@@ -4,6 +4,7 @@ A score is climbed while its blur shrinks; what decides in the end is the exact 
 between chunks of steps does the host look in.
 """
 
+import dataclasses
 import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -14,15 +15,75 @@ import numpy as np
 import optax
 
 from ikjax.arm.arm import Arm
+from ikjax.arm.forward import reach
 from ikjax.ik.check import check_goals
 from ikjax.ik.select import within_limits
 from ikjax.ik.solve import as_goals, check_family, solve
-from ikjax.solvers.pipeline import reach
 from ikjax.synthesis import ascent
 from ikjax.synthesis.ascent import Constraint, Objective
-from ikjax.synthesis.designed import Designed
 from ikjax.synthesis.objectives import NAMED
-from ikjax.synthesis.vary import chosen
+from ikjax.synthesis.parameters import chosen
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Designed:
+    """The best arm of a design study, how it was found, and what it still cannot do."""
+
+    arm: Arm
+    """The best of all starts, by the exact score; the first one as it began is among them."""
+    start: Arm
+    """The arm that was given."""
+    values: dict[str, float]
+    """What moved, by name [m, rad]; shifts and turns of base and tool from where they were."""
+    score: float
+    """The objective of `arm`, exact."""
+    start_score: float
+    """That of the given arm, moved between the bounds and tied where it was not."""
+    reached: np.ndarray
+    """bool, the goals' shape: what `arm` reaches, by `solve` and, where limits count, `within_limits`."""
+    margin: np.ndarray
+    """[m], the goals' shape: of each goal's best branch, joint limits left out."""
+    scores: np.ndarray
+    """(starts,) exact scores in the end."""
+    numbers: np.ndarray
+    """(starts, k) what moved, in the end, in the order of `values`."""
+    history: np.ndarray
+    """(steps, starts) the score as it was climbed: with its blur, and over the batch of the step."""
+    violation: float
+    """How far the worst constraint of `arm` is above zero; -inf without constraints."""
+    left_out: np.ndarray
+    """Rows of the goals that hold what is no pose."""
+    goals: np.ndarray
+    """The goals of `reached`: without those rows."""
+
+    def report(self, most: int = 10) -> str:
+        """The study in a few lines for people, with the goals that are worst out of reach."""
+        lines = [
+            f"{self.start.name}: score {self.start_score:.4g} -> {self.score:.4g}, the best of "
+            f"{len(self.scores)} starts ({self.scores.min():.4g} to {self.scores.max():.4g}) "
+            f"after {len(self.history)} steps"
+        ]
+        for name, value in self.values.items():
+            unit = "rad" if name.rpartition(".")[2].startswith("r") or name[:2] in ("al", "th") else "m"
+            lines.append(f"  {name:8} {value:+.5f} {unit}")
+        if self.violation > -np.inf:
+            lines.append(f"  constraints: the worst is {self.violation:+.2g}, wanted at most 0")
+        lost = np.argwhere(~self.reached)
+        lines.append(f"  goals: {self.reached.sum():,} of {self.reached.size:,} reached")
+        if len(self.left_out):
+            lines.append(
+                f"  left out: {len(self.left_out)} rows that hold no pose, the first {self.left_out[0]}"
+            )
+        order = np.argsort(self.margin[~self.reached])[:most]
+        for index in lost[order]:
+            place, margin = self.goals[tuple(index)][:3, 3], self.margin[tuple(index)]
+            name = ", ".join(map(str, index))
+            why = "beyond the joint limits" if margin > 0 else f"{-1000 * margin:.1f} mm out of reach"
+            lines.append(f"    goal {name} at ({', '.join(f'{x:.3f}' for x in place)}): {why}")
+        if len(lost) > len(order):
+            lines.append(f"    and {len(lost) - len(order)} more")
+        return "\n".join(lines)
+
 
 CHUNK = 25
 """Steps between two looks of the host; multipliers of constraints change there."""
@@ -68,7 +129,7 @@ def design(
         goals: T_world_tool, (..., 4, 4), in whatever shape the objective looks for. Rows along the first
             axis that hold what is no pose are left out, and counted in the report.
         vary: What may move and between which bounds: {"a2": (0.2, 0.6), "base.xyz": (-0.3, 0.3)}; see
-            `synthesis.vary.chosen`. Base and tool count from where they are.
+            `synthesis.parameters.chosen`. Base and tool count from where they are.
         objective: "coverage", "dexterity", "worst_margin", "mean_manipulability", or a function
             (arm, sol, blur) -> score, to be made as great as can be; see `synthesis.objectives`. Functions
             must be the same object from call to call for a compiled program to be used again.
@@ -92,8 +153,8 @@ def design(
         A `Designed`: the best arm, its numbers, the history, and an exact count by `solve`.
 
     Raises:
-        ValueError: As `synthesis.vary.chosen` says; an arm of no family, goals of a wrong shape or none that
-            is a pose, an unknown objective, a constraint that returns no number (a comparison, say).
+        ValueError: As `synthesis.parameters.chosen` says; an arm of no family, goals of a wrong shape or none
+            that is a pose, an unknown objective, a constraint that returns no number (a comparison, say).
     """
     check_family(arm)
     goals = as_goals(goals)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import ikjax
-from ikjax.solvers.pipeline import reach
+from ikjax.arm.forward import reach
 
 ARM = ikjax.robots.get("puma560")
 Q = np.array([0.3, -0.5, 0.4, 0.7, -0.6, 0.2])

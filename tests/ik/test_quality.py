@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import ikjax
-from ikjax.solvers.pipeline import reach
+from ikjax.arm.forward import reach
 
 MEASURES = (ikjax.manipulability, ikjax.inverse_condition, ikjax.sigma_min)
 ARMS = ("puma560", "so101", "planar_prr", "planar_2r", "stanford", "gx4_351s")

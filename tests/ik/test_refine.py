@@ -11,10 +11,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import ikjax
+from ikjax.arm.forward import reach
 from ikjax.core import pose as poses
 from ikjax.core.linear import solve_symmetric
 from ikjax.ik import newton
-from ikjax.solvers.pipeline import reach
 
 LENGTH = 0.1
 ARM = ikjax.robots.get("so101")

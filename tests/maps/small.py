@@ -6,7 +6,7 @@ import numpy as np
 
 import ikjax
 from ikjax.maps.runner import SweepStoppedError as SweepStoppedError
-from ikjax.maps.store import layout
+from ikjax.maps.store import manifest
 
 UNITS = 8
 STEPS = 61
@@ -36,7 +36,7 @@ def files(out) -> dict[str, bytes]:
     """What lies in a map's folder, but for the group's document, which holds the time it took."""
     out = pathlib.Path(out)
     found = {str(path.relative_to(out)): path.read_bytes() for path in out.rglob("*") if path.is_file()}
-    found.pop(layout.GROUP)
+    found.pop(manifest.GROUP)
     return found
 
 

@@ -10,9 +10,9 @@ import pytest
 import small
 
 import ikjax
+from ikjax.arm.forward import reach as reach_of
 from ikjax.maps import statistics
-from ikjax.maps.kernel import measures
-from ikjax.solvers.pipeline import reach as reach_of
+from ikjax.maps.kernel import joint_measures
 
 NAMES = (
     *("best_margin_within", "best_limit_distance", "best_manipulability", "mean_manipulability_within"),
@@ -155,7 +155,7 @@ def test_a_measure_that_is_none_is_refused(call, message):
 def test_means_of_many_solutions_are_rounded_so_that_sums_fit():
     for slots in (1, 2, 8, 16):
         for rolls in (1, 5, 36, 1024):
-            whole = measures.LARGEST / measures.unit_of_mean(slots, rolls) * slots * rolls
+            whole = joint_measures.LARGEST / joint_measures.unit_of_mean(slots, rolls) * slots * rolls
             assert whole * statistics.GROUP <= 2**31
 
 

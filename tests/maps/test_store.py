@@ -19,7 +19,7 @@ import small
 import ikjax
 from ikjax.maps.sets.orientations import Listed
 from ikjax.maps.statistics import USUAL, plan
-from ikjax.maps.store import layout, lock
+from ikjax.maps.store import lock, manifest
 from ikjax.maps.store import manifest as specs
 from ikjax.maps.store.storage import Place, StorageError
 from ikjax.maps.store.store import Store
@@ -63,9 +63,9 @@ def test_the_bits_do_not_depend_on_the_chunks_or_the_place(chunk, memory, tmp_pa
 
 
 def test_a_finished_map_is_kept_as_it_is_when_gone_on_with(copy, whole, memory):
-    before = (copy / layout.GROUP).read_bytes()
+    before = (copy / manifest.GROUP).read_bytes()
     assert small.swept(copy, resume=True, chunk=None).units == (small.UNITS, small.UNITS, 0, 0)
-    assert (copy / layout.GROUP).read_bytes() == before
+    assert (copy / manifest.GROUP).read_bytes() == before
     assert_whole(copy, whole, memory)
 
 
@@ -146,15 +146,15 @@ def test_an_unfinished_map_says_so_and_is_not_swept_over(copy, whole, memory):
     shutil.rmtree(copy / "solutions" / "c" / "0")
     with pytest.raises(ValueError, match=r"unfinished: 4 of 8 units are missing; go on .*--resume"):
         ikjax.ReachMap.load(copy)
-    (copy / layout.GROUP).write_bytes(layout.group(head_of(copy)._replace(state="sweeping")))
+    (copy / manifest.GROUP).write_bytes(manifest.group(head_of(copy)._replace(state="sweeping")))
     with pytest.raises(FileExistsError, match=r"an unfinished map; go on with resume=True .*--force"):
         small.swept(copy)
     assert small.swept(copy, resume=True).units == (8, 4, 4, 0)
     assert_whole(copy, whole, memory)
 
 
-def head_of(out) -> layout.Head:
-    head = layout.read_group((out / layout.GROUP).read_bytes())
+def head_of(out) -> manifest.Head:
+    head = manifest.read_group((out / manifest.GROUP).read_bytes())
     assert head is not None
     return head
 
@@ -365,8 +365,8 @@ def test_a_slow_arm_gets_small_units_and_calls_and_the_same_bits(memory, monkeyp
     )
     # 48 orientations at ten goals a second: a position takes five seconds, so a unit has eight.
     assert seen == [(1, 1)] and len(asked) == 128 // 8 - 1
-    assert layout.default_chunk((100, 100, 100), 1000, 2000.0) == (1, 1, 2)
-    assert layout.default_chunk((3, 10**6), 32) == (3, 2**19) and layout.default_chunk((10**7,), 2) == (
+    assert manifest.default_chunk((100, 100, 100), 1000, 2000.0) == (1, 1, 2)
+    assert manifest.default_chunk((3, 10**6), 32) == (3, 2**19) and manifest.default_chunk((10**7,), 2) == (
         2**21,
     )
 
@@ -467,7 +467,7 @@ def test_a_spec_does_not_depend_on_the_type_that_an_arm_comes_in():
     arm = ikjax.robots.puma560()
     around, turns = ikjax.around(arm, 1), Listed(np.eye(3)[None])
     kept = plan(arm, USUAL, 1).told()
-    rest = around, turns, 1, "float32", kept, layout.fixed(around, turns)
+    rest = around, turns, 1, "float32", kept, manifest.fixed(around, turns)
     spec = specs.of_study(arm, *rest)
     assert spec == specs.of_study(arm.astype(np.float32), *rest) and spec["arm"]["a"][1] == 0.4318
     back = specs.to_arm(spec["arm"])
@@ -478,9 +478,9 @@ def test_a_spec_does_not_depend_on_the_type_that_an_arm_comes_in():
 def test_default_chunks_are_about_a_second_of_work():
     for orientations in (1, 48, 512, 10**4, 10**7):
         for shape in ((71, 71, 71), (2000, 2000, 2000), (3, 500, 1)):
-            chunk = layout.default_chunk(shape, orientations)
+            chunk = manifest.default_chunk(shape, orientations)
             assert all(1 <= edge <= size for edge, size in zip(chunk, shape, strict=True))
-            assert np.prod(chunk) * orientations <= max(layout.GOALS * 1.01, 512 * orientations)
+            assert np.prod(chunk) * orientations <= max(manifest.GOALS * 1.01, 512 * orientations)
 
 
 def test_keys_beside_a_place_are_not_in_it(tmp_path):

@@ -9,8 +9,7 @@ import optax
 import pytest
 
 import ikjax
-from ikjax.synthesis.parameters import Parameters
-from ikjax.synthesis.vary import chosen
+from ikjax.synthesis.parameters import Parameters, chosen
 
 INNER, OUTER = 0.3, 1.0
 BEST = (INNER + OUTER) / 2

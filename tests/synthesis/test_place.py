@@ -8,8 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import ikjax
-from ikjax.synthesis.ascent import Known
-from ikjax.synthesis.nudge import Hill
+from ikjax.synthesis.ascent import Hill, Known
 from ikjax.synthesis.search_space import room
 
 UPPER, FORE = 0.6, 0.3

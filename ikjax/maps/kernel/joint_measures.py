@@ -1,4 +1,6 @@
-"""How well an arm moves at a solution: manipulability and the least singular value, in a sweep's scalars.
+"""Statistics that need the joints of solutions: how well the arm moves there, how far its limits are.
+
+They run in a loop whose values are pinned, many times slower than one of masks alone.
 
 The Jacobian is that of the tool in the world, its linear rows divided by the reach and the
 columns of sliding joints multiplied by it, so that both measures are numbers without a unit that do not
@@ -7,21 +9,25 @@ its task's rows; one with fewer joints than ways, its columns.
 Source: Yoshikawa, Manipulability of robotic mechanisms, IJRR 4 (1985).
 """
 
+import functools
 import itertools
 import math
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from ikjax.arm.arm import Arm
-from ikjax.arm.forward import Chain, Joint, advance, fixed_pose, links
+from ikjax.arm.forward import Chain, Joint, advance, fixed_pose, links, reach
 from ikjax.arm.twists import Twist, of_motors
 from ikjax.core import pose as poses
 from ikjax.core import safe, vector
 from ikjax.core.trig import Scalar
+from ikjax.maps.kernel.flags import distance
+from ikjax.maps.kernel.sample import Goal
 from ikjax.solvers.context import Joints, Slide
-from ikjax.solvers.pipeline import TURNING, reach
+from ikjax.solvers.pipeline import TURNING
 
 Hold = Callable[[Scalar], Scalar]
 Rows = list[list[Scalar]]
@@ -166,3 +172,62 @@ def _inverse(lower: Rows, per_pivot: list[Scalar], hold: Hold) -> Rows:
         return hold(total)
 
     return [[entry(i, j) for j in range(i + 1)] for i in range(n)]
+
+
+LARGEST = 8.0
+"""Manipulabilities beyond are averaged as this."""
+
+
+def unit_of_mean(slots: int, rolls: int) -> float:
+    """What numbers are rounded to that are summed up for a mean: those of 32 goals fit 31 bits."""
+    return 2.0 ** -min(20, 23 - math.ceil(math.log2(slots * rolls)))
+
+
+def best(goal: Goal, what: str, inside: bool) -> jax.Array:
+    """The greatest of a goal's solutions; 0 without one."""
+    values = zip(_of_slots(goal, what), goal.flags(inside), strict=True)
+    return functools.reduce(jnp.maximum, [jnp.where(flag, value, 0) for value, flag in values])
+
+
+def total(goal: Goal, what: str, inside: bool, unit: float) -> jax.Array:
+    """The sum over a goal's solutions, in whole units."""
+    found = jnp.zeros(goal.shape, jnp.int32)
+    for value, flag in zip(_of_slots(goal, what), goal.flags(inside), strict=True):
+        units = jnp.round(jnp.minimum(value, LARGEST) / unit)
+        found = found + jnp.where(flag, units, 0).astype(jnp.int32)
+    return found
+
+
+MEASURES = {"manipulability": manipulability, "sigma_min": sigma_min}
+
+
+def _of_slots(goal: Goal, what: str) -> list[jax.Array]:
+    """How well the arm moves at each slot, valid or not; computed once a goal."""
+
+    # A loop, because eight of these would compile for half a minute.
+    def row(slot) -> list[jax.Array]:
+        pairs = [(j.value,) if isinstance(j, Slide) else (j.sin, j.cos) for j in slot.joints]
+        return [jnp.broadcast_to(x, goal.shape) for pair in pairs for x in pair]
+
+    def measure(numbers: jax.Array) -> jax.Array:
+        left = list(numbers)
+        joints: list[Any] = []
+        for joint in goal.slots[0].joints:
+            if isinstance(joint, Slide):
+                joints.append(Slide(left.pop(0)))
+            else:
+                joints.append(type(joint)(left.pop(0), left.pop(0), ()))
+        columns = jacobian_columns(goal.arm, tuple(joints), goal.hold)
+        return MEASURES[what](columns, goal.hold)
+
+    if what not in goal.kept:
+        goal.kept[what] = list(jax.lax.map(measure, jnp.stack([jnp.stack(row(slot)) for slot in goal.slots])))
+    return goal.kept[what]
+
+
+def best_limit_distance(goal: Goal) -> jax.Array:
+    """The greatest of a goal's solutions; -inf without one."""
+    found = jnp.full(goal.shape, -jnp.inf, goal.slots[0].margin.dtype)
+    for slot in goal.slots:
+        found = jnp.where(slot.valid, jnp.maximum(found, distance(goal.arm, slot)), found)
+    return found

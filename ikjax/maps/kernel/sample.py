@@ -8,8 +8,7 @@ import jax.numpy as jnp
 
 from ikjax.arm.arm import Arm
 from ikjax.core.pose import Pose
-from ikjax.maps.kernel.doubt import any_doubtful
-from ikjax.maps.kernel.flags import within
+from ikjax.maps.kernel.flags import any_doubtful, within
 from ikjax.solvers.context import in_bits
 from ikjax.solvers.pipeline import Slot
 

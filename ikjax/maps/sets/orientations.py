@@ -15,7 +15,7 @@ from ikjax.core import vector
 from ikjax.core.vector import Matrix
 from ikjax.maps.sets.hopf import Hopf
 from ikjax.maps.sets.integer_angles import about_z, angle, tilt
-from ikjax.maps.store.manifest import frozen
+from ikjax.maps.sets.protocol import frozen
 
 MOST = 2**31 - 2**16
 """Orientations, each with its rolls, that 32-bit integers can count over."""

@@ -1,8 +1,6 @@
 """Where a sweep looks: box grids and spherical shells of positions.
 
-A set of positions has a shape, and a position is a function of its whole-number place in
-it; `at` is written once for numpy and for jax (`xp`), so that the kernel makes in its jit what a map says on
-the host.
+Methods as in `maps.sets.protocol`.
 """
 
 import dataclasses
@@ -12,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from ikjax.arm.arm import Arm
+from ikjax.arm.forward import reach
 from ikjax.core.vector import Vector
 from ikjax.maps.sets.orientations import spiral
-from ikjax.solvers.pipeline import reach
 
 
 @dataclasses.dataclass(frozen=True)

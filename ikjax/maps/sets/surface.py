@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ikjax.core.vector import Matrix, Vector
-from ikjax.maps.store.manifest import frozen
+from ikjax.maps.sets.protocol import frozen
 
 LARGEST = 2**30
 """Bytes of a file."""

@@ -14,7 +14,7 @@ import jax
 
 from ikjax.core.text import one_line
 from ikjax.maps.store import manifest
-from ikjax.maps.store.layout import Head
+from ikjax.maps.store.manifest import Head
 
 EVERY = 60.0
 """Seconds between two lines of progress."""

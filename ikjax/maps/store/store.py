@@ -17,9 +17,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ikjax.maps.store import layout
+from ikjax.maps.store import manifest
 from ikjax.maps.store import manifest as specs
-from ikjax.maps.store.layout import Head
+from ikjax.maps.store.manifest import Head
 from ikjax.maps.store.storage import Place
 
 AT_ONCE = 4
@@ -41,18 +41,18 @@ class Store:
 
     def __init__(self, place: Place, head: Head, fixed: specs.Fixed):
         self.place, self.head, self.fixed = place, head, fixed
-        self.units = layout.units(head.shape, head.chunk)
-        table = layout.arrays(head)
+        self.units = manifest.units(head.shape, head.chunk)
+        table = manifest.arrays(head)
         self.arrays = {name: place.array(name, table[name]) for name in table}
 
     def box(self, number: int) -> tuple[slice, ...]:
         """The positions of a unit."""
-        return layout.box(self.units[number], self.head.shape, self.head.chunk)
+        return manifest.box(self.units[number], self.head.shape, self.head.chunk)
 
     def say(self, state: str, seconds: float = 0.0) -> None:
         """Write the group's document."""
         self.head = self.head._replace(state=state, seconds=seconds)
-        self.place.write(layout.GROUP, layout.group(self.head))
+        self.place.write(manifest.GROUP, manifest.group(self.head))
 
     def prepare(self) -> None:
         """Steps 1 to 3, up to the first unit."""
@@ -66,7 +66,7 @@ class Store:
 
     def repair(self) -> None:
         """Write again whatever the spec determines and is not there as it should be."""
-        for key, document in layout.array_documents(self.head).items():
+        for key, document in manifest.array_documents(self.head).items():
             if self.place.read(key) != document:
                 self.place.write(key, document)
         for name, (value, _) in self.fixed.items():
@@ -88,7 +88,7 @@ class Store:
             good.append(bool(futures) and all(future.exception() is None for future in futures))
 
         for number, unit in enumerate(self.units):
-            whole = all(layout.key(self.head, name, unit) in there for name in self.head.names)
+            whole = all(manifest.key(self.head, name, unit) in there for name in self.head.names)
             missing += not whole
             box = self.box(number)
             names = self.head.names if whole else []
@@ -99,7 +99,7 @@ class Store:
             take()
         for unit, whole in zip(self.units, good, strict=True):
             # A chunk that is larger than what it holds, at the end of an axis, is read before it is written.
-            keys = [] if whole else [layout.key(self.head, name, unit) for name in self.head.names]
+            keys = [] if whole else [manifest.key(self.head, name, unit) for name in self.head.names]
             for key in there.intersection(keys):
                 self.place.remove(key)
         return Survey(good, missing, len(good) - sum(good) - missing)
@@ -134,10 +134,10 @@ def begin(
         ValueError: To go on with a map of another spec, chunk or schema.
         FileExistsError: Something else than a map is there; or a map, with neither `resume` nor `force`.
     """
-    document = place.read(layout.GROUP)
-    found = layout.read_group(document)
+    document = place.read(manifest.GROUP)
+    found = manifest.read_group(document)
     told = _told_by_arrays(place, head) if found is None else None
-    schema = layout.schema_of(document)
+    schema = manifest.schema_of(document)
     if found is None and told is None:
         if document is None and not place.keys():
             return _new(place, head, fixed)
@@ -162,7 +162,7 @@ def begin(
         raise ValueError(f"{why}; replace it with force=True (--force)")
     store = Store(place, found, fixed)
     store.repair()
-    if document != layout.group(store.head):
+    if document != manifest.group(store.head):
         store.say(store.head.state, store.head.seconds)
     return store
 
@@ -194,11 +194,11 @@ def _new(place: Place, head: Head, fixed: specs.Fixed) -> Store:
 
 def _told_by_arrays(place: Place, head: Head) -> Head | None:
     """The head, where the group's document is lost but every array's says that it is of this spec."""
-    chunk = layout.chunk_of(place.read(f"{head.names[0]}/zarr.json"))
+    chunk = manifest.chunk_of(place.read(f"{head.names[0]}/zarr.json"))
     if chunk is None or len(chunk) < len(head.shape) or min(chunk) < 1:
         return None
     head = head._replace(chunk=chunk[: len(head.shape)], state="sweeping")
-    documents = layout.array_documents(head)
+    documents = manifest.array_documents(head)
     return head if all(place.read(key) == document for key, document in documents.items()) else None
 
 
@@ -208,10 +208,10 @@ def read(place: Place) -> tuple[Head, dict[str, "Stored"]]:
     Raises:
         ValueError: No map there, of another schema, damaged, or unfinished: the message says how to go on.
     """
-    document = place.read(layout.GROUP)
-    head = layout.read_group(document)
+    document = place.read(manifest.GROUP)
+    head = manifest.read_group(document)
     if head is None:
-        schema = layout.schema_of(document)
+        schema = manifest.schema_of(document)
         if schema is None:
             raise ValueError(f"{place} holds no ikjax map")
         if schema != specs.SCHEMA:
@@ -221,17 +221,17 @@ def read(place: Place) -> tuple[Head, dict[str, "Stored"]]:
         specs.check_stored(head.spec)
     except ValueError as error:
         raise ValueError(f"{place} is no map that a sweep has written: {error}") from error
-    units = layout.units(head.shape, head.chunk)
+    units = manifest.units(head.shape, head.chunk)
     if head.state == "clearing":
         raise ValueError(f"{place} is unfinished: {len(units)} of {len(units)} units are missing; {_GO_ON}")
-    for key, wanted in layout.array_documents(head).items():
+    for key, wanted in manifest.array_documents(head).items():
         if place.read(key) != wanted:
             raise ValueError(f"{place}: {key} is damaged or missing; {_MEND}")
     there = _there(place, head)
-    missing = sum(any(layout.key(head, name, unit) not in there for name in head.names) for unit in units)
+    missing = sum(any(manifest.key(head, name, unit) not in there for name in head.names) for unit in units)
     if missing:
         raise ValueError(f"{place} is unfinished: {missing} of {len(units)} units are missing; {_GO_ON}")
-    table = layout.arrays(head)
+    table = manifest.arrays(head)
     return head, {name: Stored(place, name, place.array(name, table[name])) for name in table}
 
 
