@@ -7,7 +7,6 @@ Source: Spong, Robot Modeling and Control, equation (3.10).
 import functools
 import math
 import operator
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -21,6 +20,7 @@ from ikjax.core.known import as_array
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Scalar, sincos
 from ikjax.core.vector import plus, times
+from ikjax.core.xla import pin
 
 
 class Link(NamedTuple):
@@ -197,7 +197,7 @@ class Chain(NamedTuple):
     """The frame that the tool is mounted on."""
 
 
-def chain(arm: Arm, q: tuple[Scalar, ...], hold: Callable[[Scalar], Scalar] = lambda x: x) -> Chain:
+def chain(arm: Arm, q: tuple[Scalar, ...]) -> Chain:
     """Every frame at joint values q; each is held, see `ik.inline`."""
     frame, off = fixed_pose(arm.base), corrections(arm)
     frame = frame if off is None else poses.compose(frame, off[0])
@@ -207,9 +207,9 @@ def chain(arm: Arm, q: tuple[Scalar, ...], hold: Callable[[Scalar], Scalar] = la
         turn, slide = (value, 0) if link.kind == "R" else (0, value)
         angle = link.theta + turn
         sine, cosine = known_sincos(angle) if isinstance(angle, float) else sincos(angle)
-        joint = Joint(hold(sine), hold(cosine), link.d + slide)
-        ends.append(jax.tree.map(hold, advance(frame, link, joint)))
-        frame = ends[-1] if off is None else jax.tree.map(hold, poses.compose(ends[-1], off[i + 1]))
+        joint = Joint(pin(sine), pin(cosine), link.d + slide)
+        ends.append(jax.tree.map(pin, advance(frame, link, joint)))
+        frame = ends[-1] if off is None else jax.tree.map(pin, poses.compose(ends[-1], off[i + 1]))
     return Chain(before, ends, frame)
 
 

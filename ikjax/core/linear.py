@@ -4,12 +4,11 @@ Every entry may be an array of any batch shape.
 Source: the square-root-free Cholesky factorisation; Golub and Van Loan, Matrix Computations, section 4.1.
 """
 
-from collections.abc import Callable
-
 import jax.numpy as jnp
 
 from ikjax.core import safe
 from ikjax.core.trig import Scalar
+from ikjax.core.xla import pin
 
 Row = list[Scalar]
 
@@ -17,7 +16,6 @@ Row = list[Scalar]
 def solve_symmetric(
     matrix: list[Row],
     right: Row,
-    hold: Callable[[Scalar], Scalar] = lambda x: x,
     floor: Scalar | None = None,
     push: Scalar | None = None,
 ) -> Row:
@@ -26,7 +24,6 @@ def solve_symmetric(
     Args:
         matrix: n rows of n entries, of which the lower triangle is looked at.
         right: n entries.
-        hold: Called on each entry of the factors and of x; see `ik.inline`.
         floor: Pivots are taken without their signs and no smaller than this, which makes any symmetric
             matrix a positive definite one, and leaves those alone that were.
         push: With `floor`: along each way on which the form falls, by a pivot below -10 floors, x goes so far
@@ -46,19 +43,19 @@ def solve_symmetric(
             scaled.append(entry)
         pivot = matrix[i][i]
         for j in range(i):
-            lower[i][j] = hold(scaled[j] * inverse_pivots[j])
+            lower[i][j] = pin(scaled[j] * inverse_pivots[j])
             pivot = pivot - scaled[j] * lower[i][j]
         if floor is not None:
             falls, pivot = pivot < -10 * floor, jnp.maximum(abs(pivot), floor)
             if push is not None:
-                least.append(hold(jnp.where(falls, jnp.minimum(push, safe.sqrt(pivot)), 0)))
-        inverse_pivots.append(hold(safe.divide(1, pivot)))
-    # Each entry is held where it is whole: later ones need all of them.
+                least.append(pin(jnp.where(falls, jnp.minimum(push, safe.sqrt(pivot)), 0)))
+        inverse_pivots.append(pin(safe.divide(1, pivot)))
+    # Each entry is pinned where it is whole: later ones need all of them.
     x = list(right)
     for i in range(n):
         for j in range(i):
             x[i] = x[i] - lower[i][j] * x[j]
-        x[i] = hold(x[i])
+        x[i] = pin(x[i])
     for i in range(n):
         x[i] = x[i] * inverse_pivots[i]
         if push is not None:
@@ -66,5 +63,5 @@ def solve_symmetric(
     for i in reversed(range(n)):
         for j in range(i + 1, n):
             x[i] = x[i] - lower[j][i] * x[j]
-        x[i] = hold(x[i])
+        x[i] = pin(x[i])
     return x

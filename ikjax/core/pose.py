@@ -5,7 +5,6 @@ cancel when read: T_base_tool = T_base_elbow @ T_elbow_tool.
 Source of the angle conventions: Craig, Introduction to Robotics, 3rd ed., section 2.8.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -16,6 +15,7 @@ from ikjax.core import safe, vector
 from ikjax.core.trig import Scalar, atan2, sincos
 from ikjax.core.vector import Matrix, Vector
 from ikjax.core.warn import warn_of_degrees
+from ikjax.core.xla import pin
 
 ROTATION_TOLERANCE = 1e-5
 """|R^T R - I| beyond this is no rotation: `solve` masks the goal."""
@@ -173,25 +173,24 @@ class Turn(NamedTuple):
         return vector.add(vector.scale(self.shrink, spin), vector.add(ahead, aside))
 
 
-def turn_of(m: Matrix, hold: Callable[[Scalar], Scalar] = lambda x: x) -> Turn:
+def turn_of(m: Matrix) -> Turn:
     """The rotation as a vector, right to rounding at every angle; its slopes have their limits at zero.
 
-    `hold` is called on what many outputs share; see `ik.inline`.
 
     Source: the logarithm of a rotation; Sola et al., A micro Lie theory (2018), (144)-(145).
     """
-    w, x, y, z = map(hold, to_quaternion(m))
+    w, x, y, z = map(pin, to_quaternion(m))
     side = safe.sign(w)
     w, rest = side * w, (side * x, side * y, side * z)
-    square = hold(vector.dot(rest, rest))
+    square = pin(vector.dot(rest, rest))
     # Where half the angle is so small, the first terms of its series are exact.
     small = square < jnp.finfo(square.dtype).eps
     size = safe.sqrt(jnp.where(small, 1, square))
-    half = hold(atan2(size, jnp.where(small, 1, w)))
-    factor = hold(jnp.where(small, 2 + square / 3, 2 * half / size))
-    shrink = hold(jnp.where(small, 1 - square / 3, half * w / size))
-    bend = hold(jnp.where(small, 1 / 12, (1 - shrink) / (4 * half * half)))
-    return Turn(tuple(hold(factor * c) for c in rest), shrink, bend)
+    half = pin(atan2(size, jnp.where(small, 1, w)))
+    factor = pin(jnp.where(small, 2 + square / 3, 2 * half / size))
+    shrink = pin(jnp.where(small, 1 - square / 3, half * w / size))
+    bend = pin(jnp.where(small, 1 / 12, (1 - shrink) / (4 * half * half)))
+    return Turn(tuple(pin(factor * c) for c in rest), shrink, bend)
 
 
 def from_rotation_vector(v: Vector) -> Matrix:

@@ -1,6 +1,5 @@
 """Real roots of the equations that closed forms come down to."""
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -9,6 +8,7 @@ import numpy as np
 
 from ikjax.core import safe
 from ikjax.core.trig import Scalar, SinCos, nudged
+from ikjax.core.xla import agreed, agreed_root
 
 
 class CosineSine(NamedTuple):
@@ -30,7 +30,6 @@ def cosine_sine(
     c: Scalar,
     side: Scalar,
     noise: Scalar = 0.0,
-    root: Callable[[Scalar], Scalar] = safe.sqrt,
 ) -> CosineSine:
     """Solve a cos(t) + b sin(t) = c by its sine and cosine, with nothing infinite at t = pi.
 
@@ -39,7 +38,6 @@ def cosine_sine(
         side: +1 or -1: the sign of b cos(t) - a sin(t), which tells the two roots apart.
         noise: What rounding may have taken from hypot(a, b). It is put back near a double root, so
             that the true one lies between the two that are returned.
-        root: The square root to take: what rounding makes uncertain near zero.
 
     Returns:
         The root, clamped to the nearest angle where there is none.
@@ -52,7 +50,7 @@ def cosine_sine(
     if not (isinstance(noise, float) and noise == 0):
         taken = 2 * noise * abs(c)
         gap = jnp.where(gap < 64 * taken, gap + taken, gap)
-    height = side * root(gap)
+    height = side * agreed_root(gap)
     # The length of (c, height) is hypot(a, b), except where the root is clamped.
     weight = safe.reciprocal_sqrt(size_squared * (height * height + c * c))
     return CosineSine(
@@ -83,9 +81,7 @@ Harmonics = tuple[Scalar, Scalar, Scalar, Scalar, Scalar]
 """(u, v, x, y, w) of u cos(2t) + v sin(2t) + 2 x cos(t) + 2 y sin(t) + w."""
 
 
-def circle_quartic(
-    polynomial: Harmonics, keep: Callable[[Scalar], Scalar] = lambda x: x, steps: int = 6
-) -> CircleRoots:
+def circle_quartic(polynomial: Harmonics, steps: int = 6) -> CircleRoots:
     """The four roots t of u cos(2t) + v sin(2t) + 2 x cos(t) + 2 y sin(t) + w = 0.
 
     This is every quartic in tan(t / 2), with nothing infinite at t = pi. The polynomial is a conic
@@ -94,7 +90,6 @@ def circle_quartic(
 
     Args:
         polynomial: Coefficients of one unit, of size about one.
-        keep: Called on what many later numbers need.
         steps: Newton steps for the cubic, which it approaches from one side without overshooting.
 
     Returns:
@@ -110,8 +105,8 @@ def circle_quartic(
     rho = safe.sqrt(u * u + v * v)
     large = safe.sqrt((1 + abs(u) / rho) / 2)
     small = abs(v) / (2 * rho * large)
-    half_cos = keep(jnp.where(u >= 0, large, small))
-    half_sin = keep(safe.sign(v) * jnp.where(u >= 0, small, large))
+    half_cos = agreed(jnp.where(u >= 0, large, small))
+    half_sin = agreed(safe.sign(v) * jnp.where(u >= 0, small, large))
     ahead, aside = (x * half_cos + y * half_sin) / rho, (y * half_cos - x * half_sin) / rho
     level = w / rho
     # (m + level)(m^2 - 1) + ahead^2 (m + 1) + aside^2 (m - 1) has a root in -1 <= m <= 1, and each
@@ -123,9 +118,9 @@ def circle_quartic(
     above = at_middle <= 0
     # Seen a quarter turn on, one that lies below is one above.
     p, q, k = (
-        keep(jnp.where(above, ahead, aside)),
-        keep(jnp.where(above, aside, -ahead)),
-        keep(jnp.where(above, level, -level)),
+        agreed(jnp.where(above, ahead, aside)),
+        agreed(jnp.where(above, aside, -ahead)),
+        agreed(jnp.where(above, level, -level)),
     )
     p_squared, q_squared = p * p, q * q
     # n = 1 - m rises from 0: n^3 - b n^2 + c n - d = 0
@@ -140,15 +135,15 @@ def circle_quartic(
         slope = (3 * n - 2 * b) * n + c
         n = jnp.clip(n - safe.divide(value, slope), 0, 2)
     # What is left to 2, anew where it is small, so that it keeps its digits too.
-    n = keep(n)
+    n = agreed(n)
     left = 2 - n
     for _ in range(2):
         value = ((left + k - 3) * left + p_squared + q_squared + 2 - 2 * k) * left - 2 * q_squared
         slope = (3 * left + 2 * k - 6) * left + p_squared + q_squared + 2 - 2 * k
         left = jnp.where(n > 1, jnp.clip(left - safe.divide(value, slope), 0, 2), left)
-    left = keep(left)
+    left = agreed(left)
     n = jnp.where(n > 1, 2 - left, n)
-    near, far, gap = keep(safe.sqrt(n)), keep(safe.sqrt(left)), k + 1 - n
+    near, far, gap = agreed(safe.sqrt(n)), agreed(safe.sqrt(left)), k + 1 - n
     # (near cos + first)^2 = (far sin - second)^2, first^2 = gap + second^2. Where a line runs along an
     # axis its own part is 0 / 0, and the other one tells it.
     first, second = safe.divide(p, near), safe.divide(q, far)
@@ -159,8 +154,8 @@ def circle_quartic(
     alike = (first < 0) == (second < 0)
     large = first + jnp.where(alike, second, -second)
     small = safe.divide(gap, large)
-    total = keep(jnp.where(alike, large, small))
-    difference = keep(jnp.where(alike, small, large))
+    total = agreed(jnp.where(alike, large, small))
+    difference = agreed(jnp.where(alike, small, large))
     lines = (near, -far, -total), (near, far, -difference)
     rising: list[CircleRoot] = []
     falling: list[CircleRoot] = []
@@ -180,8 +175,8 @@ def circle_quartic(
             )
             # Near another root, what is left of a complex pair would be led to that one.
             real = root.margin >= 0
-            sine, cosine = _polished(polynomial, keep(sine), keep(cosine), real)
-            found.append(CircleRoot(keep(sine), keep(cosine), real))
+            sine, cosine = _polished(polynomial, agreed(sine), agreed(cosine), real)
+            found.append(CircleRoot(agreed(sine), agreed(cosine), real))
     return CircleRoots(_in_order(*rising), _in_order(*falling))
 
 

@@ -21,7 +21,7 @@ from jax.experimental.layout import Layout, with_layout_constraint
 
 from ikjax.arm.arm import Arm
 from ikjax.core import cores
-from ikjax.core.xla import holder
+from ikjax.core.xla import divider, pinning
 from ikjax.ik.inline import FIELDS, slots_of
 from ikjax.ik.results import Solutions
 
@@ -157,7 +157,8 @@ class Solving:
         goals, q_now = rows
         columns = columns_of(goals)
         entries = tuple(tuple(columns[4 * i + j] for j in range(4)) for i in range(4))
-        slots = slots_of(arm, entries, q_now, self.tolerance, hold=holder(entries[0][3]))
+        with pinning(divider(entries[0][3])):
+            slots = slots_of(arm, entries, q_now, self.tolerance)
         q = packed([x for slot in slots for x in slot.q]).reshape(BLOCK, len(slots), arm.n)
         rest = {name: packed([getattr(slot, name) for slot in slots]) for name in FIELDS}
         return Solutions(q=q, is_pose=jnp.broadcast_to(slots[0].is_pose, (BLOCK,)), **rest)

@@ -24,7 +24,7 @@ from ikjax.arm.arm import Arm
 from ikjax.arm.forward import reach
 from ikjax.core.known import is_traced
 from ikjax.core.pose import Pose, clean
-from ikjax.core.xla import holder, opaque_one
+from ikjax.core.xla import AgreedRoots, divider, opaque_one, pinning
 from ikjax.ik.results import Solutions
 from ikjax.solvers.context import in_bits
 from ikjax.solvers.families import FAMILIES
@@ -42,14 +42,14 @@ def entries_of(goals: jax.Array) -> Entries:
     return tuple(tuple(goals[..., i, j] for j in range(4)) for i in range(4))
 
 
-def slots_of(arm: Arm, entries: Entries, q_now, tolerance, *, hold=None, share=None) -> tuple[Slot, ...]:
+def slots_of(arm: Arm, entries: Entries, q_now, tolerance) -> tuple[Slot, ...]:
     """Measured slots of goals, each field one array (...)."""
     rotation, position = tuple(row[:3] for row in entries[:3]), tuple(row[3] for row in entries[:3])
     goal, proper = clean(Pose(rotation, position), reach(arm))
     for entry, wanted in zip(entries[3], (0, 0, 0, 1), strict=True):
         proper &= entry == wanted
     now = None if q_now is None else tuple(q_now[..., i] for i in range(arm.n))
-    slots = solve_scalars(arm, goal, now, tolerance, hold, share)
+    slots = solve_scalars(arm, goal, now, tolerance)
     # What stands for a goal that is no pose is as far off as can be, and nothing moves it.
     size = jax.lax.stop_gradient(jnp.asarray(reach(arm), entries[0][3].dtype))
 
@@ -80,7 +80,9 @@ def jit_with_arm(f: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.partial(jax.jit, static_argnums=0, inline=True)
     def of_known(known, rest, *arrays):
-        return f(Arm.join(known, rest), *arrays)
+        # A program of its own, which other callers use again: nothing of the caller's policy enters it.
+        with pinning(None):
+            return f(Arm.join(known, rest), *arrays)
 
     @functools.wraps(f)
     def call(arm: Arm, *arrays):
@@ -91,28 +93,22 @@ def jit_with_arm(f: Callable[..., Any]) -> Callable[..., Any]:
 
 def solve_here(arm: Arm, goals: jax.Array, q_now, tolerance) -> Solutions:
     """`Solutions` as a plain elementwise graph."""
-    entries, hold = entries_of(goals), holder(goals[..., 0, 3])
+    entries, policy = entries_of(goals), divider(goals[..., 0, 3])
     if not is_small(arm):
-        return gathered(slots_of(arm, entries, q_now, tolerance, hold=hold), goals.shape[:-2])
-    roots: list[jax.Array] = []
-
-    def record(root):
-        roots.append(hold(root))
-        return roots[-1]
-
+        with pinning(policy):
+            return gathered(slots_of(arm, entries, q_now, tolerance), goals.shape[:-2])
+    roots = AgreedRoots(policy)
     # XLA would otherwise see what the roots and the masks have in common, and store all of it.
     one = opaque_one(goals[..., 0, 3])
     apart = tuple(tuple(x * one for x in row) for row in entries)
-    slots_of(arm, apart, q_now, tolerance, share=record)
-    free = slots_of(arm, entries, q_now, tolerance, share=_replayed(roots))
-    held = slots_of(arm, entries, q_now, tolerance, share=_replayed(roots), hold=hold)
+    with pinning(None), roots.recorded():
+        slots_of(arm, apart, q_now, tolerance)
+    with pinning(None), roots.replayed():
+        free = slots_of(arm, entries, q_now, tolerance)
+    with pinning(policy), roots.replayed():
+        pinned = slots_of(arm, entries, q_now, tolerance)
     masks = {name: _mask([getattr(slot, name) for slot in free], goals) for name in ("valid", "continuum")}
-    return gathered(held, goals.shape[:-2], **masks)
-
-
-def _replayed(roots: list[jax.Array]):
-    following = iter(roots)
-    return lambda _: next(following)
+    return gathered(pinned, goals.shape[:-2], **masks)
 
 
 def gathered(slots: tuple[Slot, ...], shape: tuple[int, ...], **instead: jax.Array) -> Solutions:
@@ -133,6 +129,6 @@ def _mask(flags: list[jax.Array], goals: jax.Array) -> jax.Array:
     entries need is computed once, in one loop. XLA on a CPU keeps such a loop whole up to some 2,000
     instructions; beyond, it computes shared values again and again (a test counts them).
     """
-    code = holder(goals[..., 0, 3])(jnp.broadcast_to(in_bits(flags, goals.dtype), goals.shape[:-2]))
+    code = divider(goals[..., 0, 3])(jnp.broadcast_to(in_bits(flags, goals.dtype), goals.shape[:-2]))
     places = jnp.arange(len(flags), dtype=jnp.int32).reshape((1,) * (goals.ndim - 2) + (-1,))
     return (code.astype(jnp.int32)[..., None] >> places & 1) == 1

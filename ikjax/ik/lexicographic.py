@@ -69,17 +69,17 @@ def in_order(near, priority: str):
 
 
 def descend(
-    arm: Arm, goal: Pose, length: Scalar, priority: str, q, steps, hold, damping
+    arm: Arm, goal: Pose, length: Scalar, priority: str, q, steps, damping
 ) -> tuple[State, Scalar, Joints]:
     """So many steps, or as many in each stage: where they end, how steep it is, and the last sum's bottom."""
     if priority == "weighted":
-        state = newton.descend(arm, wish(arm, goal, length, priority), q, steps, hold, damping)
+        state = newton.descend(arm, wish(arm, goal, length, priority), q, steps, damping)
         return state, newton.steepness(arm, state.q, state.at), state.q
-    return _staged(arm, lambda share: wish(arm, goal, length, priority, share), priority, q, steps, hold)
+    return _staged(arm, lambda share: wish(arm, goal, length, priority, share), priority, q, steps)
 
 
 def _staged(
-    arm: Arm, wish_of: Callable[[Scalar], Wish], priority: str, q, steps, hold
+    arm: Arm, wish_of: Callable[[Scalar], Wish], priority: str, q, steps
 ) -> tuple[State, Scalar, Joints]:
     dtype, zero = q[0].dtype, jnp.zeros_like(q[0])
     last, ease = (jnp.asarray(x[dtype.name], dtype) for x in (SHARE, EASE))
@@ -101,7 +101,7 @@ def _staged(
         )
         damping = zero + newton.FIRST_DAMPING * share
         asked = wish_of(jnp.where(extra, 0, share))._replace(still=still)
-        state = newton.descend(arm, asked, start, steps, hold, damping)
+        state = newton.descend(arm, asked, start, steps, damping)
         steep = newton.steepness(arm, state.q, state.at) / jnp.sqrt(share)
         nearer = in_order(state.at, priority)[0] <= in_order(at, priority)[0]
         take = ~extra | nearer

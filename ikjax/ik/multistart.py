@@ -18,7 +18,7 @@ from ikjax.arm.forward import reach, whole_turns
 from ikjax.core.known import as_array, is_traced, stop_gradient
 from ikjax.core.pose import NEARLY_ROTATION, Pose, nearest_pose
 from ikjax.core.trig import Scalar
-from ikjax.core.xla import pinned
+from ikjax.core.xla import Pin, divider_once, pinning
 from ikjax.ik import batched, newton
 from ikjax.ik import lexicographic as priorities
 from ikjax.ik.inline import Entries, entries_of
@@ -63,12 +63,13 @@ class _AtLimits:
 
 
 def _at_limits(arm: Arm, entries: Entries) -> list[tuple[jax.Array, ...]]:
-    goal, _, near = asked(arm, entries)
+    goal, _, policy = asked(arm, entries)
     shape = goal.position[0].shape
-    ends = proposed_at_ends(arm, goal, near)
+    with pinning(policy):
+        ends, branches = proposed_at_ends(arm, goal), proposed(arm, goal)
     low, high = bounds(arm)[-1]
-    rows = [*ends, *((*q[:-1], _further(q[-1], low, high)) for q in [*proposed(arm, goal, near), *ends])]
-    return [tuple(near(jnp.broadcast_to(x, shape)) for x in q) for q in rows]
+    rows = [*ends, *((*q[:-1], _further(q[-1], low, high)) for q in [*branches, *ends])]
+    return [tuple(policy(jnp.broadcast_to(x, shape)) for x in q) for q in rows]
 
 
 def _further(x: Scalar, low: Scalar, high: Scalar) -> Scalar:
@@ -151,8 +152,8 @@ def descended(
     if columns is None and steps == 0:
         found = jax.tree.map(lambda *slots: jnp.stack(slots), *closed(arm_still, entries, still[3]))
     else:
-        goal, proper, near = asked(arm_still, entries)
-        columns = proposals(arm_still, goal, near) if columns is None else columns
+        goal, proper, policy = asked(arm_still, entries)
+        columns = proposals(arm_still, goal, policy) if columns is None else columns
         found = from_starts(arm_still, goal, proper, columns, still[3], steps, None, priority)
     shape = found.cost.shape
 
@@ -182,20 +183,22 @@ class Found(NamedTuple):
 def closed(arm: Arm, entries: Entries, length) -> list[Found]:
     """Every slot of the closed form within the limits, each by itself: a stack of them would be computed
     number by number."""
-    goal, proper, near = asked(arm, entries)
+    goal, proper, policy = asked(arm, entries)
     shape, slots = goal.position[0].shape, []
-    for q in proposed(arm, goal, near):
-        held = tuple(near(jnp.broadcast_to(x, shape)) for x in newton.into_limits(arm, q))
-        found = _from_starts(arm, goal, proper, held, length, 0, None, "weighted", near)
-        slots.append(found._replace(cost=near(found.cost)))
+    with pinning(policy):
+        branches = proposed(arm, goal)
+    for q in branches:
+        clamped = tuple(policy(jnp.broadcast_to(x, shape)) for x in newton.into_limits(arm, q))
+        found = _from_starts(arm, goal, proper, clamped, length, 0, None, "weighted", policy)
+        slots.append(found._replace(cost=policy(found.cost)))
     return slots
 
 
 def asked(arm: Arm, entries: Entries):
-    """The nearest pose in scalars, whether there is one, and what holds numbers of its shape."""
+    """The nearest pose in scalars, whether there is one, and what pins numbers of its shape."""
     goal, off = nearest_pose(entries, reach(arm))
-    near = pinned(entries[0][3])
-    return jax.tree.map(near, goal), off <= NEARLY_ROTATION, near
+    policy = divider_once(entries[0][3])
+    return jax.tree.map(policy, goal), off <= NEARLY_ROTATION, policy
 
 
 @jax.jit
@@ -204,10 +207,11 @@ def goal_error(goals: jax.Array) -> jax.Array:
     return jax.lax.stop_gradient(nearest_pose(entries_of(goals), 1.0)[1])
 
 
-def proposals(arm: Arm, goal: Pose, near) -> tuple[jax.Array, ...]:
+def proposals(arm: Arm, goal: Pose, policy: Pin) -> tuple[jax.Array, ...]:
     """The closed form's joints, each (S, ...)."""
     shape = goal.position[0].shape
-    columns = zip(*proposed(arm, goal, near), strict=True)
+    with pinning(policy):
+        columns = zip(*proposed(arm, goal), strict=True)
     return tuple(jnp.stack([jnp.broadcast_to(x, shape) for x in column]) for column in columns)
 
 
@@ -217,13 +221,15 @@ def from_starts(
     """All starts after their steps."""
     starts = newton.into_limits(arm, starts)
     goal = jax.tree.map(lambda x: x[None], goal)
-    return _from_starts(arm, goal, proper[None], starts, length, steps, damping, priority, lambda x: x)
+    return _from_starts(arm, goal, proper[None], starts, length, steps, damping, priority, None)
 
 
-def _from_starts(arm: Arm, goal: Pose, proper, starts, length, steps, damping, priority: str, hold) -> Found:
+def _from_starts(
+    arm: Arm, goal: Pose, proper, starts, length, steps, damping, priority: str, policy: Pin | None
+) -> Found:
     """Starts within the limits; what stands for the goal has their shape."""
-    state, flat, bottom = priorities.descend(arm, goal, length, priority, starts, steps, pinned, damping)
-    flat = hold(flat)
+    state, flat, bottom = priorities.descend(arm, goal, length, priority, starts, steps, damping)
+    flat = flat if policy is None else policy(flat)
     at, size = state.at, reach(arm)
     seen = newton.is_seen(arm, goal, at, length)
     down = proper & seen & (flat <= newton.CONVERGED[flat.dtype.name])
@@ -250,8 +256,8 @@ class _Descending:
             spread = batched.columns_of(starts).reshape(*starts.shape[1:], -1)
             starts = tuple(spread[:, i] for i in range(arm.n))
             damping = None if damping is None else batched.columns_of(damping)
-        goal, proper, near = asked(arm, entries)
-        starts = proposals(arm, goal, near) if starts is None else starts
+        goal, proper, policy = asked(arm, entries)
+        starts = proposals(arm, goal, policy) if starts is None else starts
 
         def of_one(start):
             q, easing = jax.tree.map(lambda x: x[None], start)

@@ -18,7 +18,6 @@ Bertsekas, Projected Newton methods (1982); damping after Marquardt (1963).
 
 import functools
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -33,6 +32,7 @@ from ikjax.core.linear import solve_symmetric
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Scalar
 from ikjax.core.vector import plus, times
+from ikjax.core.xla import divider_once, pin, pinning
 from ikjax.ik.turns import nearest_turn
 from ikjax.solvers.pipeline import TURNING
 
@@ -52,9 +52,6 @@ FLOOR = 1e-6
 """The least curvature [reaches^2 / rad^2] that a step believes in."""
 
 Joints = tuple[Scalar, ...]
-Hold = Callable[[Scalar], Scalar]
-HoldLike = Callable[[jax.Array], Hold]
-"""`core.xla.pinned`"""
 
 
 class Wish(NamedTuple):
@@ -96,46 +93,45 @@ class State(NamedTuple):
     damping: Scalar
 
 
-def standing(arm: Arm, wish: Wish, q: Joints, hold: Hold = lambda x: x) -> Standing:
+def standing(arm: Arm, wish: Wish, q: Joints) -> Standing:
     """Cost, slope and curvature at joints q."""
     per = 1 / reach(arm)
-    found = chain(arm, q, hold)
+    found = chain(arm, q)
     tool = poses.compose(found.last, fixed_pose(arm.tool))
-    tool = jax.tree.map(hold, tool)
-    gap = tuple(map(hold, _gap(arm, found, wish, tool, per)))
+    tool = jax.tree.map(pin, tool)
+    gap = tuple(map(pin, _gap(arm, found, wish, tool, per)))
     worth = _worth(arm, wish, per)
-    turn = _turn(wish, tool, hold)
+    turn = _turn(wish, tool)
     twists = [
-        Twist(tuple(hold(times(per, x)) for x in twist.linear), twist.angular)
+        Twist(tuple(pin(times(per, x)) for x in twist.linear), twist.angular)
         for twist in of_joints(arm, found, tool.position)
     ]
-    pulled = tuple(hold(times(wish.point, x)) for x in gap)
-    drawn = tuple(hold(times(worth, x)) for x in turn.vector)
+    pulled = tuple(pin(times(wish.point, x)) for x in gap)
+    drawn = tuple(pin(times(worth, x)) for x in turn.vector)
     slope = [plus(vector.dot(t.linear, pulled), vector.dot(t.angular, drawn)) for t in twists]
     curve = []
     for i, mine in enumerate(twists):
         pulls = vector.add(mine.linear, vector.cross(gap, mine.angular))
         turns = vector.add(turn.rate(mine.angular), vector.cross(turn.vector, mine.angular))
         pulls, turns = (
-            tuple(hold(times(weight, x)) for x in way)
-            for weight, way in ((wish.point, pulls), (worth, turns))
+            tuple(pin(times(weight, x)) for x in way) for weight, way in ((wish.point, pulls), (worth, turns))
         )
         rest = twists[i:]
         curve.append([plus(vector.dot(t.linear, pulls), vector.dot(t.angular, turns)) for t in rest])
     lower = [[curve[j][i - j] for j in range(i + 1)] for i in range(arm.n)]
     slope, lower = _of_motors(arm, slope, lower)
-    far, turned = hold(vector.dot(gap, gap)), hold(vector.dot(turn.vector, turn.vector))
+    far, turned = pin(vector.dot(gap, gap)), pin(vector.dot(turn.vector, turn.vector))
     levers = [
         1.0 if kind == "P" else vector.dot(twist.linear, twist.linear)
         for kind, twist in zip(arm.kinds, twists, strict=True)
     ]
     return Standing(
-        hold(times(wish.point, far) + worth * turned),
-        tuple(map(hold, slope)),
-        tuple(tuple(map(hold, row)) for row in lower),
-        hold(safe.sqrt(far)),
-        hold(_angle(arm, turned)),
-        hold(functools.reduce(jnp.maximum, levers, jnp.zeros_like(far))),
+        pin(times(wish.point, far) + worth * turned),
+        tuple(map(pin, slope)),
+        tuple(tuple(map(pin, row)) for row in lower),
+        pin(safe.sqrt(far)),
+        pin(_angle(arm, turned)),
+        pin(functools.reduce(jnp.maximum, levers, jnp.zeros_like(far))),
     )
 
 
@@ -143,11 +139,11 @@ def _angle(arm: Arm, squared: Scalar) -> Scalar:
     return safe.sqrt(squared) if arm.task in TURNING else jnp.zeros_like(squared)
 
 
-def errors(arm: Arm, wish: Wish, q: Joints, hold: Hold) -> tuple[Scalar, Scalar, Scalar]:
+def errors(arm: Arm, wish: Wish, q: Joints) -> tuple[Scalar, Scalar, Scalar]:
     """Cost [m^2], distance [m] and angle [rad] at joints q, for their slopes."""
-    found = chain(arm, q, hold)
-    tool = jax.tree.map(hold, poses.compose(found.last, fixed_pose(arm.tool)))
-    gap, turn = _gap(arm, found, wish, tool, 1.0), _turn(wish, tool, hold)
+    found = chain(arm, q)
+    tool = jax.tree.map(pin, poses.compose(found.last, fixed_pose(arm.tool)))
+    gap, turn = _gap(arm, found, wish, tool, 1.0), _turn(wish, tool)
     far, turned = vector.dot(gap, gap), vector.dot(turn.vector, turn.vector)
     return far + _worth(arm, wish, 1.0) * turned, safe.sqrt(far), _angle(arm, turned)
 
@@ -167,10 +163,10 @@ def _gap(arm: Arm, found: Chain, wish: Wish, tool: Pose, per: Scalar) -> vector.
     return vector.subtract(gap, vector.scale(vector.dot(up, gap), up))
 
 
-def _turn(wish: Wish, tool: Pose, hold: Hold = lambda x: x) -> poses.Turn:
+def _turn(wish: Wish, tool: Pose) -> poses.Turn:
     """The turn from the goal to the tool, in the world."""
     left = vector.matmul(tool.rotation, vector.transpose(wish.goal.rotation))
-    return poses.turn_of(jax.tree.map(hold, left), hold)
+    return poses.turn_of(jax.tree.map(pin, left))
 
 
 def _of_motors(arm: Arm, slope: list, curve: list[list]) -> tuple[list, list[list]]:
@@ -231,7 +227,7 @@ def is_seen(arm: Arm, goal: Pose, at: Standing, length: Scalar) -> jax.Array:
     return exact & (at.lever + _worth(arm, Wish(goal, length), per) > CONVERGED[name])
 
 
-def descend(arm: Arm, wish: Wish, q: Joints, steps, hold: HoldLike, damping: Scalar | None = None) -> State:
+def descend(arm: Arm, wish: Wish, q: Joints, steps, damping: Scalar | None = None) -> State:
     """So many steps from joints within the limits; `damping` goes on from an earlier descent.
 
     The first round of the loop only looks where the start stands: written down outside, it would make the
@@ -241,11 +237,13 @@ def descend(arm: Arm, wish: Wish, q: Joints, steps, hold: HoldLike, damping: Sca
     zero = jnp.zeros_like(q[0])
     damping = zero + FIRST_DAMPING if damping is None else damping
     if isinstance(steps, int) and steps == 0:
-        return State(q, standing(arm, wish, q, hold(q[0])), damping)
+        with pinning(divider_once(q[0])):
+            return State(q, standing(arm, wish, q), damping)
     state = State(q, nowhere(arm, zero), damping * EASED)
 
     def again(_, state: State) -> State:
-        return step(arm, wish, state, hold(state.q[0]))
+        with pinning(divider_once(state.q[0])):
+            return step(arm, wish, state)
 
     return jax.lax.fori_loop(0, steps + 1, again, state)
 
@@ -256,38 +254,38 @@ def nowhere(arm: Arm, zero: Scalar) -> Standing:
     return Standing(zero + jnp.inf, (zero,) * arm.n, curve, zero, zero, zero)
 
 
-def step(arm: Arm, wish: Wish, state: State, hold: Hold) -> State:
+def step(arm: Arm, wish: Wish, state: State) -> State:
     """One damped Newton step, taken only if it leads down."""
     q, at, damping = state
     noise, zero = float(jnp.finfo(at.cost.dtype).eps), jnp.zeros_like(at.cost)
     back = held_back(arm, q, at.slope)
     if wish.still is not None:
         back = [b | held for b, held in zip(back, wish.still, strict=True)]
-    free = [hold(jnp.where(b, zero, zero + 1)) for b in back]
+    free = [pin(jnp.where(b, zero, zero + 1)) for b in back]
     floor = jnp.asarray(wish.floor, at.cost.dtype)
-    down = [hold(-f * s) for f, s in zip(free, at.slope, strict=True)]
+    down = [pin(-f * s) for f, s in zip(free, at.slope, strict=True)]
     # On a saddle, where many an arm is at home, the slope leads nowhere, and damping would hide the way down.
-    flat = hold(jnp.where(_square(down) < NEARLY_FLAT**2, zero + 1, zero))
+    flat = pin(jnp.where(_square(down) < NEARLY_FLAT**2, zero + 1, zero))
     push, damped = PUSH * flat, damping * (1 - 0.99 * flat)
     matrix = [
-        [hold(free[i] * free[j] * at.curve[i][j]) for j in range(i)]
-        + [hold(free[i] * (at.curve[i][i] + damped * (abs(at.curve[i][i]) + 1e-2)) + (1 - free[i]))]
+        [pin(free[i] * free[j] * at.curve[i][j]) for j in range(i)]
+        + [pin(free[i] * (at.curve[i][i] + damped * (abs(at.curve[i][i]) + 1e-2)) + (1 - free[i]))]
         for i in range(arm.n)
     ]
-    moves = solve_symmetric(matrix, down, hold, floor, push)
+    moves = solve_symmetric(matrix, down, floor, push)
     largest = functools.reduce(jnp.maximum, map(abs, moves))
-    shrink = hold(LARGEST_STEP / jnp.maximum(largest, LARGEST_STEP))
+    shrink = pin(LARGEST_STEP / jnp.maximum(largest, LARGEST_STEP))
     size = reach(arm)
     units = [size if kind == "P" else 1.0 for kind in arm.kinds]
     tried = tuple(
-        hold(jnp.clip(x + unit * shrink * move, low, high))
+        pin(jnp.clip(x + unit * shrink * move, low, high))
         for x, unit, move, (low, high) in zip(q, units, moves, bounds(arm), strict=True)
     )
-    there = standing(arm, wish, tried, hold)
+    there = standing(arm, wish, tried)
     flatter = _square(there.slope) < _square(at.slope) / 4
     # Near the bottom two costs differ by their rounding alone: there the slope decides.
     better = (there.cost < at.cost) | (flatter & (there.cost <= at.cost * (1 + 8 * noise)))
-    better = hold(jnp.where(better, 1.0, 0.0).astype(at.cost.dtype)) > 0.5
+    better = pin(jnp.where(better, 1.0, 0.0).astype(at.cost.dtype)) > 0.5
     q, at = jax.tree.map(lambda new, old: jnp.where(better, new, old), (tried, there), (q, at))
     return State(q, at, jnp.where(better, damping / EASED, jnp.maximum(EASED * damping, 1e-3)))
 

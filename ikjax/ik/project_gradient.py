@@ -20,7 +20,7 @@ from ikjax.arm.arm import Arm
 from ikjax.arm.forward import reach
 from ikjax.core.linear import solve_symmetric
 from ikjax.core.pose import NEARLY_ROTATION, Pose, nearest_pose
-from ikjax.core.xla import holder, pinned
+from ikjax.core.xla import divider, divider_once, pinning
 from ikjax.ik import newton
 from ikjax.ik.inline import entries_of
 from ikjax.ik.lexicographic import SHARE, wish
@@ -38,7 +38,8 @@ def with_slopes(arm: Arm, goals, q, bottom, length, converged, priority: str):
     q = q + (bottom - jax.lax.stop_gradient(bottom))
     goal, proper = _nearest(arm, goals)
     columns = _columns(q)
-    found = newton.errors(arm, newton.Wish(goal, length), columns, _hold(columns))
+    with pinning(divider_once(columns[0])):
+        found = newton.errors(arm, newton.Wish(goal, length), columns)
     names = ("cost", "position_error", "rotation_error")
     fields = {name: jnp.where(proper, x, jnp.nan) for name, x in zip(names, found, strict=True)}
     return q, {name: jnp.moveaxis(x, 0, -1) for name, x in fields.items()}
@@ -49,10 +50,6 @@ def _columns(q) -> tuple[jax.Array, ...]:
     return tuple(jnp.moveaxis(q[..., i], -1, 0) for i in range(q.shape[-1]))
 
 
-def _hold(columns):
-    return pinned(columns[0])
-
-
 def _nearest(arm: Arm, goals) -> tuple[Pose, jax.Array]:
     """The poses nearest to the goals, one for all starts, and whether there are any.
 
@@ -60,8 +57,8 @@ def _nearest(arm: Arm, goals) -> tuple[Pose, jax.Array]:
     """
     size = jax.lax.stop_gradient(jnp.asarray(reach(arm), goals.dtype))
     goal, off = nearest_pose(entries_of(goals), size)
-    hold = holder(goals[..., 0, 3])
-    return jax.tree.map(lambda x: hold(x)[None], goal), (off <= NEARLY_ROTATION)[None]
+    divide = divider(goals[..., 0, 3])
+    return jax.tree.map(lambda x: divide(x)[None], goal), (off <= NEARLY_ROTATION)[None]
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
@@ -79,7 +76,8 @@ def _(priority: str, known: tuple, primals, tangents):
     def slope(leaves, goals):
         moving = dataclasses.replace(Arm.join(known, leaves), limits=arm.limits)
         goal, _ = _nearest(moving, goals)
-        return newton.standing(moving, wish(moving, goal, length, priority), columns, _hold(columns))
+        with pinning(divider_once(columns[0])):
+            return newton.standing(moving, wish(moving, goal, length, priority), columns)
 
     at, rate = jax.jvp(slope, (leaves, goals), tangents[:2])
     back = newton.held_back(arm, columns, at.slope)

@@ -24,7 +24,7 @@ from ikjax.core import pose as poses
 from ikjax.core import safe
 from ikjax.core.singular import singular_values, volume
 from ikjax.core.trig import wrap
-from ikjax.core.xla import opaque_one
+from ikjax.core.xla import opaque_one, pinning
 from ikjax.ik.inline import jit_with_arm
 
 
@@ -116,10 +116,8 @@ def _columns(arm: Arm, q: jax.Array, length) -> list[tuple[jax.Array, ...]]:
     """Of the Jacobian, or its rows where those are fewer; each entry (...)."""
     one = opaque_one(q[..., 0])
 
-    def hold(x):
-        return x / one if isinstance(x, jax.Array) else x
-
-    found = chain(arm, tuple(q[..., i] for i in range(arm.n)), hold)
+    with pinning(lambda x: x / one if isinstance(x, jax.Array) else x):
+        found = chain(arm, tuple(q[..., i] for i in range(arm.n)))
     tip = poses.compose(found.last, fixed_pose(arm.tool)).position
     length = reach(arm) if length is None else length
     rows = twists.asked(arm, found, safe.divide(1, length))

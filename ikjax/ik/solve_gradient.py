@@ -29,7 +29,7 @@ from ikjax.core import pose as poses
 from ikjax.core import vector
 from ikjax.core.linear import solve_symmetric
 from ikjax.core.trig import Scalar
-from ikjax.core.xla import holder, opaque_one
+from ikjax.core.xla import divider, opaque_one, pinning
 from ikjax.ik.inline import entries_of, slots_of
 
 DAMPING = 16
@@ -133,8 +133,8 @@ def _(known: Known, primals, tangents):
     leaves, goals, margin = primals
 
     def written(leaves, goals):
-        hold = holder(goals[..., 0, 3])
-        slots = slots_of(Arm.join(known, leaves), entries_of(goals), None, None, hold=hold)
+        with pinning(divider(goals[..., 0, 3])):
+            slots = slots_of(Arm.join(known, leaves), entries_of(goals), None, None)
         return jnp.stack([jnp.broadcast_to(s.margin, goals.shape[:-2]) for s in slots], axis=-1)
 
     _, slope = jax.jvp(written, (leaves, goals), tangents[:2])
@@ -154,11 +154,12 @@ def _motion(arm: Arm, arm_rates: Arm | None, goal_rates, q, valid, damping):
     # Of the whole shape: a division by a number that is spread out becomes a multiplication.
     one = opaque_one(slots_first(q[..., 0]))
 
-    def hold(x: Scalar) -> Scalar:
+    def divide(x: Scalar) -> Scalar:
         return x if not isinstance(x, jax.Array) else x / one
 
     joints = tuple(slots_first(q[..., i]) for i in range(arm.n))
-    found = chain(arm, joints, hold)
+    with pinning(divide):
+        found = chain(arm, joints)
     reached = poses.compose(found.last, fixed_pose(arm.tool))
     twist = twists.STILL
     if goal_rates is not None:
@@ -171,21 +172,23 @@ def _motion(arm: Arm, arm_rates: Arm | None, goal_rates, q, valid, damping):
         twist = twist.plus(own.times(-1.0))
     size = reach(arm)
     rows = twists.asked(arm, found, 1 / size)
-    wanted = [hold(x) for x in rows(twist)]
+    wanted = [divide(x) for x in rows(twist)]
     # A slide counts in reaches too.
     units = [size if kind == "P" else 1.0 for kind in arm.kinds]
     motions = zip(units, twists.of_motors(arm, found, reached.position), strict=True)
-    columns = [[hold(x) for x in rows(motion.times(unit))] for unit, motion in motions]
-    matrix = [[hold(_dot(u, v)) for v in columns] for u in columns]
+    columns = [[divide(x) for x in rows(motion.times(unit))] for unit, motion in motions]
+    matrix = [[divide(_dot(u, v)) for v in columns] for u in columns]
     for i in range(arm.n):
         matrix[i][i] = matrix[i][i] + damping * damping
     still = ~slots_first(valid)
-    right = [hold(jnp.broadcast_to(_dot(u, wanted), still.shape)) for u in columns]
+    right = [divide(jnp.broadcast_to(_dot(u, wanted), still.shape)) for u in columns]
+
+    def solved(_, b):
+        with pinning(divide):
+            return solve_symmetric(matrix, b)
+
     steps = jax.lax.custom_linear_solve(
-        lambda x: [_dot(row, x) for row in matrix],
-        right,
-        lambda _, b: solve_symmetric(matrix, b, hold),
-        symmetric=True,
+        lambda x: [_dot(row, x) for row in matrix], right, solved, symmetric=True
     )
     moves = [jnp.where(still, 0, unit * step) for unit, step in zip(units, steps, strict=True)]
     return jnp.stack([jnp.moveaxis(jnp.broadcast_to(x, still.shape), 0, -1) for x in moves], axis=-1)

@@ -95,9 +95,9 @@ def _tracked(arm: Arm, goals, q0, length, leap, slack, steps) -> Path:
 
 def _next(arm: Arm, goal, q, length, leap, slack, steps: int) -> Path:
     """From joints (..., n) to the next goal (..., 4, 4)."""
-    pose, proper, near = asked(arm, entries_of(goal))
+    pose, proper, policy = asked(arm, entries_of(goal))
     now = tuple(q[..., i] for i in range(arm.n))
-    starts = proposals(arm, pose, near)
+    starts = proposals(arm, pose, policy)
     here = tuple(x[None] for x in now)
     starts = newton.into_limits(arm, starts, here)
     starts = tuple(jnp.concatenate([x, y]) for x, y in zip(here, starts, strict=True))

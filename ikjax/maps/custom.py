@@ -56,7 +56,7 @@ class Near:
 
     def lane(self) -> Lane:
         """What the loop does for it."""
-        return Lane("count", self._any, any_roll=True, held=True)
+        return Lane("count", self._any, any_roll=True, pinned=True)
 
     def _any(self, goal: Goal) -> jax.Array:
         if CLOSED not in goal.kept:
@@ -114,7 +114,7 @@ class Measure:
     def lanes(self, arm: Arm, rolls: int) -> dict[str, Lane]:
         """What the loop does for it."""
         if self.reduce != "sum":
-            return {self.name: Lane(self.reduce, lambda goal: self._value(goal), held=True)}
+            return {self.name: Lane(self.reduce, lambda goal: self._value(goal), pinned=True)}
         most = MOST // rolls
 
         def units(goal: Goal) -> jax.Array:
@@ -125,8 +125,8 @@ class Measure:
             return (~_sane(jnp.round(self._value(goal) / self.unit), most)).astype(jnp.int32)
 
         return {
-            self.name: Lane("sum", units, held=True),
-            f"{self.name}.wild": Lane("count", wild, any_roll=True, held=True),
+            self.name: Lane("sum", units, pinned=True),
+            f"{self.name}.wild": Lane("count", wild, any_roll=True, pinned=True),
         }
 
     def finish(self, total: np.ndarray, wild: np.ndarray | None = None) -> np.ndarray:

@@ -157,15 +157,15 @@ def _build(arm: Arm, name: str, orientations: int, rolls: int) -> tuple[Statisti
         lane = Lane("max", functools.partial(_margin, inside=inside))
         return Statistic("float32", (name,), _column), {name: lane}
     if base == "best_limit_distance":
-        lane = Lane("max", joint_measures.best_limit_distance, held=True)
+        lane = Lane("max", joint_measures.best_limit_distance, pinned=True)
         return Statistic("float32", (name,), _column), {name: lane}
     kind, _, what = base.partition("_")
     if kind == "best":
-        lane = Lane("max", functools.partial(joint_measures.best, what=what, inside=inside), held=True)
+        lane = Lane("max", functools.partial(joint_measures.best, what=what, inside=inside), pinned=True)
         return Statistic("float32", (name,), _column), {name: lane}
     unit = joint_measures.unit_of_mean(slots, rolls)
     lane = Lane(
-        "sum", functools.partial(joint_measures.total, what=what, inside=inside, unit=unit), held=True
+        "sum", functools.partial(joint_measures.total, what=what, inside=inside, unit=unit), pinned=True
     )
     number = f"solutions{'_within' if inside else ''}"
     lanes = {name: lane} | _build(arm, number, orientations, rolls)[1]

@@ -1,7 +1,7 @@
 """What a family is handed besides a goal, and one closed-form answer as it hands it on."""
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -13,6 +13,7 @@ from ikjax.core import safe
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Angle, Scalar, angle, nudged
 from ikjax.core.vector import Vector, plus
+from ikjax.core.xla import pin
 
 
 class Slide(NamedTuple):
@@ -55,10 +56,6 @@ class Setting(NamedTuple):
     """What rounding may have taken from a length, and what the arm is off by."""
     off: Scalar
     """What the arm as given is off by, in lengths and angles: zero for the arm as recognised."""
-    hold: Callable[[Scalar], Scalar]
-    """Called on what many outputs share; see `ik.inline`."""
-    share: Callable[[Scalar], Scalar] | None
-    """Called on what two programs of one kernel must agree on; see `ik.inline`."""
 
     @property
     def rounding(self) -> float:
@@ -70,17 +67,9 @@ class Setting(NamedTuple):
         wide = self.rounding > 1e-10
         return how == "nearly" or (wide and how.startswith("nearly"))
 
-    def root(self, x: Scalar) -> Scalar:
-        """A square root, shared because rounding makes it uncertain near zero."""
-        return safe.sqrt(x) if self.share is None else self.share(safe.sqrt(x))
-
-    def keep(self, x: Scalar) -> Scalar:
-        """What many outputs share and rounding makes uncertain."""
-        return self.hold(x) if self.share is None else self.share(x)
-
     def angle(self, sine: Scalar, cosine: Scalar) -> Angle:
-        """The angle of a sine and a cosine, held."""
-        return angle(self.hold(sine), self.hold(cosine))
+        """The angle of a sine and a cosine, both pinned."""
+        return angle(pin(sine), pin(cosine))
 
     def filled(self, joint: int, free: jax.Array, sine: Scalar, cosine: Scalar) -> Angle:
         """The angle of a sine and a cosine, or the joint's own where it is arbitrary."""
@@ -105,10 +94,10 @@ class Setting(NamedTuple):
         return self.filled(joint, free, sign * sine * weight, cosine * weight), free
 
     def unwind(self, goal: Pose, links: tuple[Link, ...], joints: Joints) -> Pose:
-        """The goal seen from the frame after the first links, held."""
+        """The goal seen from the frame after the first links, pinned."""
         for link, joint in zip(links, joints, strict=False):
             goal = unwind(goal, link, placed(link, joint))
-        return jax.tree.map(self.hold, goal)
+        return jax.tree.map(pin, goal)
 
 
 class Branch(NamedTuple):

@@ -6,7 +6,6 @@ Source: damped least squares; Wampler (1986), Nakamura and Hanafusa (1986).
 """
 
 import functools
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -19,7 +18,7 @@ from ikjax.core.linear import solve_symmetric
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Angle, Scalar
 from ikjax.core.vector import Vector
-from ikjax.core.xla import pinned
+from ikjax.core.xla import divider_once, pin, pinning
 from ikjax.solvers.context import Branch, Joints, Setting, Slide, moved_on, placed
 
 STEPS = 8
@@ -73,7 +72,7 @@ def polished(
     shape = jax.tree.leaves(start)[0].shape
     margins = jnp.stack([jnp.broadcast_to(slot.margin, shape[1:]) for slot in slots]).reshape(len(slots), -1)
     start = jax.tree.map(lambda x: x.reshape(len(slots), -1), start)
-    start = jax.tree.map(pinned(jax.tree.leaves(start)[0]), start)
+    start = jax.tree.map(divider_once(jax.tree.leaves(start)[0]), start)
     goals = jax.tree.map(lambda x: jnp.broadcast_to(x, shape[1:]).reshape(1, -1), goal)
     solve = _Solve(given, turning, setting)
     size = 32 * setting.off
@@ -84,10 +83,10 @@ def polished(
     there = (found.gap_squared <= gap * gap) & (found.turn_squared <= 2 * angle * angle)
     late = (abs(margins) <= 2 * size) | (~there & (margins > -8 * size))
     found = _again(solve, late.any(0), start, goals, found)
-    answers, hold = [], setting.hold
+    answers = []
     for k, slot in enumerate(slots):
         mine = tuple(
-            Slide(hold(joint.value[k].reshape(shape[1:])))
+            Slide(pin(joint.value[k].reshape(shape[1:])))
             if isinstance(joint, Slide)
             else setting.angle(joint.sin[k].reshape(shape[1:]), joint.cos[k].reshape(shape[1:]))
             for joint in found.joints
@@ -140,15 +139,16 @@ class _Solve(NamedTuple):
     setting: Setting
 
     def step(self, joints: Joints, goals: Pose) -> Joints:
-        return _step(self.given, joints, goals, self.turning, self.setting)
+        with pinning(divider_once(jax.tree.leaves(joints)[0])):
+            return _step(self.given, joints, goals, self.turning, self.setting)
 
     def errors(self, joints: Joints, goals: Pose) -> tuple[jax.Array, jax.Array]:
         """Squared distance of the tool points, and squared Frobenius norm of the difference of rotations."""
-        pin = pinned(jax.tree.leaves(joints)[0])
-        reached, _ = _walk(self.given, joints, pin)
-        slip = tuple(map(vector.subtract, reached.rotation, goals.rotation))
-        gap = _gap(self.given, reached, goals, slip)
-        return pin(vector.dot(gap, gap)), pin(sum(vector.dot(row, row) for row in slip))
+        with pinning(divider_once(jax.tree.leaves(joints)[0])):
+            reached, _ = _walk(self.given, joints)
+            slip = tuple(map(vector.subtract, reached.rotation, goals.rotation))
+            gap = _gap(self.given, reached, goals, slip)
+            return pin(vector.dot(gap, gap)), pin(sum(vector.dot(row, row) for row in slip))
 
     def with_care(self, start: Joints, goals: Pose) -> _Found:
         """Two stages of many steps; beside a fold the answers lie on both sides of it."""
@@ -214,7 +214,7 @@ def _difference(first: Angle | Slide, last: Angle | Slide) -> jax.Array:
     return safe.norm(*(a - b for a, b in zip(jax.tree.leaves(last), jax.tree.leaves(first), strict=True)))
 
 
-def _walk(given: Given, joints: Joints, pin: Callable[[Scalar], Scalar]) -> tuple[Pose, list[Pose]]:
+def _walk(given: Given, joints: Joints) -> tuple[Pose, list[Pose]]:
     """The last frame, and the frame before each joint."""
     frame, before = poses.IDENTITY, []
     for i, (link, joint) in enumerate(zip(given.links, joints, strict=True)):
@@ -231,8 +231,7 @@ def _gap(given: Given, reached: Pose, goal: Pose, slip) -> Vector:
 
 def _step(given: Given, joints: Joints, goal: Pose, turning: bool, setting: Setting) -> Joints:
     """One damped step on all joints."""
-    pin = pinned(jax.tree.leaves(joints)[0])
-    reached, before = _walk(given, joints, pin)
+    reached, before = _walk(given, joints)
     slip = tuple(map(vector.subtract, reached.rotation, goal.rotation))
     gap = tuple(map(pin, _gap(given, reached, goal, slip)))
     tip = vector.add(reached.position, vector.rotate(reached.rotation, given.tool))
@@ -257,7 +256,7 @@ def _step(given: Given, joints: Joints, goal: Pose, turning: bool, setting: Sett
     matrix = [[pin(_dot(motions[i], motions[j])) for j in range(i + 1)] for i in range(count)]
     for i in range(count):
         matrix[i][i] = matrix[i][i] + setting.tiny / 4
-    steps = solve_symmetric(matrix, [pin(_dot(m, wanted)) for m in motions], pin)
+    steps = solve_symmetric(matrix, [pin(_dot(m, wanted)) for m in motions])
     size = functools.reduce(jnp.maximum, map(abs, steps))
     shrink = pin(LARGEST_STEP / jnp.maximum(size, LARGEST_STEP))
     moved = (_rounded(moved_on(joint, step * shrink)) for joint, step in zip(joints, steps, strict=True))

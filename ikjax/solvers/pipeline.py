@@ -33,6 +33,7 @@ from ikjax.core import safe, vector
 from ikjax.core.known import is_traced
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Angle, Scalar, atan2, canonical, sincos, wrap
+from ikjax.core.xla import pin
 from ikjax.solvers.context import TINY, Branch, Joints, Setting, Slide, placed
 from ikjax.solvers.families import FAMILIES, Family
 from ikjax.solvers.given_arm import Given, polished
@@ -144,8 +145,6 @@ def solve_scalars(
     goal: Pose,
     now: tuple[Scalar, ...] | None = None,
     tolerance: float | None = None,
-    hold: Callable[[Scalar], Scalar] | None = None,
-    share: Callable[[Scalar], Scalar] | None = None,
 ) -> tuple[Slot, ...]:
     """Every slot for one goal, in scalars (or for many goals, one array a scalar).
 
@@ -154,15 +153,12 @@ def solve_scalars(
         goal: T_world_tool with an orthonormal rotation; `clean` makes one of anything.
         now: Joint values that arbitrary joints follow; zero by default.
         tolerance: Overrides `TOLERANCE` for the goal's type.
-        hold: Called on what many outputs share; see `ik.inline`.
-        share: Called on what two programs must agree on; see `ik.inline`.
 
     Returns:
         One `Slot` for each branch of the family, in slot order.
     """
     tolerance = TOLERANCE[jnp.result_type(goal.position[0]).name] if tolerance is None else tolerance
-    frame, tip, setting = _set(arm, goal, now, hold, share)
-    hold = setting.hold
+    frame, tip, setting = _set(arm, goal, now)
     allowed = tolerance * (1 + frame.per_reach * vector.norm(goal.position))
     turning = arm.task in TURNING
     family = FAMILIES[str(arm.family)]
@@ -176,7 +172,7 @@ def solve_scalars(
     motors = _motors(arm)
     slots = []
     for branch, (gap_squared, turn_squared) in zip(branches, measured, strict=True):
-        gap_squared, turn_squared = hold(gap_squared), hold(turn_squared)
+        gap_squared, turn_squared = pin(gap_squared), pin(turn_squared)
         turn_squared = turn_squared if turning else jnp.zeros_like(gap_squared)
         # |R - S| = sqrt(8) sin(angle / 2), in the Frobenius norm.
         valid = (gap_squared <= allowed * allowed) & (turn_squared <= 2 * tolerance**2)
@@ -199,23 +195,19 @@ def solve_scalars(
     return tuple(slots)
 
 
-def proposed(
-    arm: Arm, goal: Pose, hold: Callable[[Scalar], Scalar] | None = None
-) -> list[tuple[Scalar, ...]]:
+def proposed(arm: Arm, goal: Pose) -> list[tuple[Scalar, ...]]:
     """Joints of every slot, for a goal that need not be reached: as near as the closed form comes.
 
     Arguments as in `solve_scalars`. Nothing is measured, and the arm is taken as recognised.
     """
-    frame, tip, setting = _set(arm, goal, None, hold, None)
+    frame, tip, setting = _set(arm, goal, None)
     family = FAMILIES[str(arm.family)]
     branches = (family.nearest or family.branches)(arm.signs, frame.links, tip, setting)
     motors = _motors(arm)
     return [motors(_joint_values(frame, branch.joints)) for branch in branches]
 
 
-def proposed_at_ends(
-    arm: Arm, goal: Pose, hold: Callable[[Scalar], Scalar] | None = None
-) -> list[tuple[Scalar, ...]]:
+def proposed_at_ends(arm: Arm, goal: Pose) -> list[tuple[Scalar, ...]]:
     """As `proposed`, with one joint at one of its limits; none where no joint has any or may be held so."""
     family, ends = FAMILIES[str(arm.family)], {}
     for joint in family.may_hold:
@@ -227,26 +219,25 @@ def proposed_at_ends(
         ]
     if family.held is None or not any(ends.values()):
         return []
-    frame, tip, setting = _set(arm, goal, None, hold, None)
+    frame, tip, setting = _set(arm, goal, None)
     motors = _motors(arm)
     found = family.held(arm.signs, frame.links, tip, setting, ends)
     return [motors(_joint_values(frame, joints)) for joints in found]
 
 
-def _set(arm: Arm, goal: Pose, now, hold, share) -> tuple[Frame, Pose, Setting]:
+def _set(arm: Arm, goal: Pose, now) -> tuple[Frame, Pose, Setting]:
     """The arm, the goal as its family is asked for it, and the rest that a family is handed."""
     dtype = jnp.result_type(goal.position[0])
     frame = prepare(arm)
     tiny = TINY * float(np.finfo(dtype).eps)
     now = coupled(arm, (0.0,) * arm.n if now is None else now)
     fill = tuple(_now(link, value, frame, dtype) for link, value in zip(frame.links, now, strict=True))
-    hold = hold or (lambda x: x)
     scaled = Pose(goal.rotation, vector.scale(frame.per_reach, goal.position))
-    tip = jax.tree.map(hold, _asked(arm.task, frame, scaled))
+    tip = jax.tree.map(pin, _asked(arm.task, frame, scaled))
     return (
         frame,
         tip,
-        Setting(fill, frame.tool, tiny, vector.plus(tiny / 8, frame.off), frame.off, hold, share),
+        Setting(fill, frame.tool, tiny, vector.plus(tiny / 8, frame.off), frame.off),
     )
 
 

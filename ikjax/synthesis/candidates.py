@@ -17,7 +17,7 @@ import numpy as np
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import reach
 from ikjax.core.pose import Pose, clean
-from ikjax.core.xla import holder
+from ikjax.core.xla import divider, pinning
 from ikjax.ik.batched import wide_vectors
 from ikjax.ik.inline import is_small
 from ikjax.maps.kernel.sample import Goal
@@ -96,9 +96,9 @@ def _counter(known: Known, limits: bool, width: int):
             )
             every = tuple(tuple(jnp.broadcast_to(x, shape) for x in row) for row in rotation)
             goal, proper = clean(Pose(every, position), reach(arm))
-            hold = None if is_small(arm) else holder(position[0])
-            slots = solve_scalars(arm, goal, hold=hold)
-            flags = Goal(arm, slots, hold or (lambda x: x), shape, {}).flags(limits)
+            with pinning(None if is_small(arm) else divider(position[0])):
+                slots = solve_scalars(arm, goal)
+            flags = Goal(arm, slots, divider(position[0]), shape, {}).flags(limits)
             hit = functools.reduce(jnp.logical_or, flags) & proper & some
             margin = functools.reduce(jnp.maximum, [slot.margin for slot in slots])
             found = jnp.sum(hit, axis=1, dtype=jnp.int32), jnp.min(jnp.broadcast_to(margin, shape), axis=1)

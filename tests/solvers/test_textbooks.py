@@ -86,7 +86,7 @@ def test_the_algebraic_and_the_geometric_solution_agree_on_a_million_goals():
     x = upper * np.cos(t) + fore * np.cos(t + bend)
     y = upper * np.sin(t) + fore * np.sin(t + bend)
     zero = Angle(0.0, 1.0, 0.0)
-    setting = Setting((zero, zero), (0.0, 0.0, 0.0), 1e-14, 0.0, 0.0, lambda v: v, None)
+    setting = Setting((zero, zero), (0.0, 0.0, 0.0), 1e-14, 0.0, 0.0)
 
     @jax.jit
     def both(x, y):

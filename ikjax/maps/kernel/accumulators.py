@@ -38,7 +38,7 @@ class Group(NamedTuple):
     """Words that share one solution of every goal."""
 
     words: tuple[Word, ...]
-    held: bool
+    pinned: bool
     """Every value is kept: joints are needed, or the kernel is too large for one loop."""
     coded: bool
     """Its words look at flags alone, and these travel as one number."""
@@ -57,21 +57,21 @@ def groups_of(lanes: dict[str, Lane], rolls: int, small: bool, certify: bool = F
     """
     flags, joints, apart = {}, {}, []
     for name, lane in lanes.items():
-        if lane.held or not small:
+        if lane.pinned or not small:
             joints[name] = lane
         elif lane.reduce in ("count", "bits"):
             flags[name] = lane
         else:
-            apart.append(Group((Word((name,), (lane,), ()),), held=False, coded=False))
+            apart.append(Group((Word((name,), (lane,), ()),), pinned=False, coded=False))
     groups: list[Group] = []
-    for members, held in ((flags, False), (joints, True)):
+    for members, pinned in ((flags, False), (joints, True)):
         doubt = None
         if certify and any(lane.added for lane in members.values()):
             doubt = f"{DOUBT}.{len(groups)}"
             members = members | {doubt: Lane("bits", Goal.doubt)}
         words = tuple(words_of(members, rolls))
         # One word alone is cheaper without the number.
-        groups += [Group(words, held, not held and len(words) > 1, doubt)] if words else []
+        groups += [Group(words, pinned, not pinned and len(words) > 1, doubt)] if words else []
     return groups + apart
 
 

@@ -47,7 +47,7 @@ def program(arm: Arm, positions, orientations: Orientations, rolls: int, lanes: 
     arm = as_solved(arm.astype(WIDE).baked())
     # A word a lane: their numbers are wanted one by one.
     words = tuple(word for name, lane in lanes.items() for word in words_of({name: lane}, rolls))
-    group = Group(words, held=True, coded=False)
+    group = Group(words, pinned=True, coded=False)
 
     def solved(tables, index, turn):
         columns = tuple(index[:, k] for k in range(index.shape[1]))

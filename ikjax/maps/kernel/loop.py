@@ -14,7 +14,7 @@ import numpy as np
 from ikjax.arm.arm import Arm
 from ikjax.core import vector
 from ikjax.core.pose import Pose
-from ikjax.core.xla import holder
+from ikjax.core.xla import divider, pinning
 from ikjax.maps.kernel.accumulators import (
     Group,
     added,
@@ -58,7 +58,7 @@ def loop(arm, positions, orientations, rolls, dtype, groups, size, tables, index
     table = jnp.moveaxis(table.reshape(9, most, width), 1, 0)
 
     def total(group: Group) -> tuple[jax.Array, ...]:
-        deep = FEW if any(lane.held for word in group.words for lane in word.lanes) else POSITIONS
+        deep = FEW if any(lane.pinned for word in group.words for lane in word.lanes) else POSITIONS
 
         def block(b, wholes):
             here = jax.lax.dynamic_slice_in_dim(places, b * deep, deep, 1)[:, :, None]
@@ -98,10 +98,11 @@ def each_goal(arm: Arm, group: Group, goal: Pose, rolls: int, dtype, shape) -> t
 
     def values(rotation) -> tuple[jax.Array, ...]:
         like = jnp.broadcast_to(rotation[0][0] + goal.position[0], shape)
-        hold = holder(like)
+        policy = divider(like)
         turned = Pose(rotation, goal.position)
-        slots = solve_scalars(arm, turned, hold=hold if group.held else None)
-        seen = Goal(arm, slots, hold, shape, {}, turned)
+        with pinning(policy if group.pinned else None):
+            slots = solve_scalars(arm, turned)
+        seen = Goal(arm, slots, policy, shape, {}, turned)
         if group.coded:
             kinds = {lane.inside for word in group.words for lane in word.lanes}
             seen = seen.coded(sorted(kinds), group.doubt is not None)

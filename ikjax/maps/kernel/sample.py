@@ -8,6 +8,7 @@ import jax.numpy as jnp
 
 from ikjax.arm.arm import Arm
 from ikjax.core.pose import Pose
+from ikjax.core.xla import Pin
 from ikjax.maps.kernel.flags import any_doubtful, within
 from ikjax.solvers.context import in_bits
 from ikjax.solvers.pipeline import Slot
@@ -25,8 +26,8 @@ class Goal(NamedTuple):
 
     arm: Arm
     slots: tuple[Slot, ...]
-    hold: Callable[[Any], Any]
-    """Keeps a value from being computed again; see `ik.inline`."""
+    pin: Pin
+    """Keeps a value of its shape from being computed again."""
     shape: tuple[int, int]
     kept: dict[Any, Any]
     """What several lanes look at and was made already."""
@@ -57,7 +58,7 @@ class Goal(NamedTuple):
         flags = [flag for inside in kinds for flag in self.flags(inside)]
         flags += [self.doubt()] if doubt else []
         dtype = self.slots[0].margin.dtype
-        code = self.hold(jnp.broadcast_to(in_bits(flags, dtype), self.shape)).astype(jnp.int32)
+        code = self.pin(jnp.broadcast_to(in_bits(flags, dtype), self.shape)).astype(jnp.int32)
         read = [(code >> k & 1) == 1 for k in range(len(flags))]
         count = len(self.slots)
         parts = {inside: read[k * count : (k + 1) * count] for k, inside in enumerate(kinds)}
@@ -76,8 +77,8 @@ class Lane(NamedTuple):
     """Of a count or bits: which flags it looks at."""
     any_roll: bool = False
     """Of a count: over free rolls it is a yes or no, and not a sum."""
-    held: bool = False
-    """Needs joints, not only masks: the kernel keeps its values instead of computing them again."""
+    pinned: bool = False
+    """Needs joints, not only masks: values of the kernel are pinned."""
 
     @property
     def added(self) -> bool:

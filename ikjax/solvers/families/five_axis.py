@@ -36,6 +36,7 @@ from ikjax.core import safe
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Angle, Scalar, SinCos
 from ikjax.core.vector import minus, plus, times
+from ikjax.core.xla import agreed, pin
 from ikjax.solvers.context import Branch, Joints, Setting, bits
 from ikjax.solvers.steps.shoulder import Shoulder, shoulder
 from ikjax.solvers.steps.triangle import Triangle, triangle
@@ -92,7 +93,7 @@ def branches(
         n = tuple(row[2] for row in seen.rotation)
         weight = tilted * safe.reciprocal_sqrt(n[0] * n[0] + n[1] * n[1])
         p_sin, p_cos = n[0] * weight, jnp.where(weight == 0, 1, -n[1] * weight)
-        p_sin, p_cos = setting.hold(p_sin), setting.hold(p_cos)
+        p_sin, p_cos = pin(p_sin), pin(p_cos)
         h = seen.rotation[2]
         weight = tilted * safe.reciprocal_sqrt(h[0] * h[0] + h[1] * h[1])
         roll = setting.angle(h[0] * weight, jnp.where(weight == 0, 1, h[1] * weight))
@@ -150,8 +151,8 @@ def _lines(c2: int, c3: int, links: tuple[Link, ...], goal: Pose, setting: Setti
     larger = safe.sqrt((1 + abs(more) * per_size) / 2)
     smaller = safe.divide(abs(both) * per_size, 2 * larger)
     foot_first = (more >= 0) | (per_size == 0)
-    p = setting.keep(jnp.where(foot_first, larger, smaller))
-    q = setting.keep(safe.sign(both) * jnp.where(foot_first, smaller, larger))
+    p = agreed(jnp.where(foot_first, larger, smaller))
+    q = agreed(safe.sign(both) * jnp.where(foot_first, smaller, larger))
     return foot.times(p).plus(along.times(q)), along.times(p).plus(foot.times(-q))
 
 
@@ -163,7 +164,7 @@ def _shoulder(main: Line, rest: Line, side: Scalar, setting: Setting) -> Shoulde
     stays = side * (5 * main.ahead(base.turn) - 8 * half * main.lateral) >= 0
     mends = stays & (abs(half) < LARGEST_MEND / 2) & ~base.continuum
     turn = _turned(base.turn, jnp.where(mends, half, 0))
-    turn = _turned(turn, setting.keep(jnp.where(mends, _half_step(main, rest, turn), 0)))
+    turn = _turned(turn, agreed(jnp.where(mends, _half_step(main, rest, turn), 0)))
     return base._replace(turn=setting.angle(turn.sin, turn.cos))
 
 

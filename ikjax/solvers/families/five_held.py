@@ -22,6 +22,7 @@ from ikjax.core import safe
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Scalar, SinCos
 from ikjax.core.vector import plus, times
+from ikjax.core.xla import pin
 from ikjax.solvers.context import Joints, Setting, bits
 from ikjax.solvers.families.five_axis import joints_of
 from ikjax.solvers.families.five_nearest import Hand, hand_of, roll_of, turned, wrist_of
@@ -50,7 +51,7 @@ def branches(
             for angle in angles:
                 for left in (1.0, -1.0):
                     bent = _bent(signs, links, hand, setting, joint, angle, left)
-                    shoulder, elbow, pitch = ((setting.hold(x), setting.hold(y)) for x, y in bent)
+                    shoulder, elbow, pitch = ((pin(x), pin(y)) for x, y in bent)
                     roll = setting.angle(*roll_of(signs, hand.rotation, pitch, links[3], setting))
                     # Nobody reads its margin.
                     arm = Triangle(shoulder[0], shoulder[1], elbow[0], elbow[1], jnp.inf, False)

@@ -31,6 +31,7 @@ from ikjax.core import safe, vector
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Scalar, SinCos
 from ikjax.core.vector import minus, plus, times
+from ikjax.core.xla import pin
 from ikjax.solvers.context import Branch, Setting, bits
 from ikjax.solvers.families.five_axis import joints_of
 from ikjax.solvers.steps.shoulder import Shoulder, shoulder
@@ -102,12 +103,12 @@ def _held(signs, links: tuple[Link, ...], goal: Pose, foot, side: Scalar, settin
     lateral = times(safe.divide(1, s), plus(lateral, minus(times(c, plus(z, -one.d)))))
     base = shoulder(x, y, lateral, side, setting)
     seen = unwind(Pose(goal.rotation, foot), one, Joint(base.turn.sin, base.turn.cos, one.d))
-    x, y, _ = (setting.hold(value) for value in seen.position)
+    x, y, _ = (pin(value) for value in seen.position)
     n = seen.rotation[0][2], seen.rotation[1][2]
     weight = c23 * s4 * safe.reciprocal_sqrt(n[0] * n[0] + n[1] * n[1])
-    pitch = setting.hold(n[0] * weight), setting.hold(jnp.where(weight == 0, 1, -n[1] * weight))
+    pitch = pin(n[0] * weight), pin(jnp.where(weight == 0, 1, -n[1] * weight))
     pitch = _reachable(pitch, (x, y), wrist_of(signs, four, setting), two, three)
-    pitch = setting.hold(pitch[0]), setting.hold(pitch[1])
+    pitch = pin(pitch[0]), pin(pitch[1])
     return Hand(base, (x, y), pitch, roll_of(signs, seen.rotation, pitch, four, setting), seen.rotation)
 
 
@@ -151,7 +152,7 @@ def roll_of(signs, rotation, pitch: SinCos, four: Link, setting: Setting) -> Sin
     tilted = [plus(times(t_cos, aside[k]), times(t_sin, rotation[2][k])) for k in (0, 1)]
     sine, cosine = tilted[0] - ahead[1], ahead[0] + tilted[1]
     weight = safe.reciprocal_sqrt(sine * sine + cosine * cosine)
-    return setting.hold(sine * weight), setting.hold(jnp.where(weight == 0, 1, cosine * weight))
+    return pin(sine * weight), pin(jnp.where(weight == 0, 1, cosine * weight))
 
 
 def _carried(signs, links: tuple[Link, ...], hand: Hand, tool) -> vector.Vector:

@@ -31,6 +31,7 @@ from ikjax.core.pose import Pose
 from ikjax.core.roots import circle_quartic, cosine_sine
 from ikjax.core.trig import Angle, Scalar, SinCos, nudged
 from ikjax.core.vector import Vector
+from ikjax.core.xla import agreed, pin
 from ikjax.solvers.context import Branch, Setting
 from ikjax.solvers.families.planar import Plane, heading_of, three_joints
 from ikjax.solvers.steps.lines import Axis, axes_of, component, pose_turned, seen_from, turned
@@ -210,8 +211,8 @@ def _pairs(equations: tuple[Equation, Equation], splits: str, joints, setting: S
         ec * ec + es * es - 1 + (cos_squared + sin_squared) / 2,
     )
     scale = safe.divide(1, sum(abs(x) for x in harmonics))
-    harmonics = tuple(setting.keep(x * scale) for x in harmonics)
-    found = circle_quartic(harmonics, setting.keep)
+    harmonics = tuple(agreed(x * scale) for x in harmonics)
+    found = circle_quartic(harmonics)
 
     def length(value, sine, cosine):
         # The right side of the second equation follows the goal along h, one for one.
@@ -224,7 +225,7 @@ def _pairs(equations: tuple[Equation, Equation], splits: str, joints, setting: S
     for root, rise in zip(in_order, (1, -1, 1, -1), strict=True):
         cosine, sine = ec - ac * root.cos - bc * root.sin, es - as_ * root.cos - bs * root.sin
         size = safe.reciprocal_sqrt(cosine * cosine + sine * sine)
-        turn = setting.hold(sine * size), setting.hold(jnp.where(size == 0, 1, cosine * size))
+        turn = pin(sine * size), pin(jnp.where(size == 0, 1, cosine * size))
         start, real, steps, largest = (root.sin, root.cos), root.real, 1, setting.rounding**0.25
         if setting.close_pairs(splits):
             turn = _side_of_close_pair(equations, start, rise, setting)
@@ -267,8 +268,8 @@ def _side_of_close_pair(equations, first: SinCos, rise: int, setting: Setting) -
     turned = jnp.where(factor > 0, -1, 1).astype(value.dtype)
     told = jnp.where(abs(value) > noise, safe.sign(value), rise * safe.sign(slope)) * turned
     rest = with_b.e - with_b.a * cosine - with_b.b * sine
-    root = cosine_sine(with_b.c, with_b.d, rest, told, noise=setting.noise, root=setting.root)
-    return setting.hold(root.sin), setting.hold(root.cos)
+    root = cosine_sine(with_b.c, with_b.d, rest, told, noise=setting.noise)
+    return pin(root.sin), pin(root.cos)
 
 
 def _polished(
@@ -298,7 +299,7 @@ def _polished(
             nudged(*joint, jnp.where(small, move, 0))
             for joint, move in zip((first, second), moves, strict=True)
         ]
-        first, second = (tuple(map(setting.hold, joint)) for joint in moved)
+        first, second = (tuple(map(pin, joint)) for joint in moved)
     a, b = (setting.angle(*joint) for joint in (first, second))
     return a, b
 
@@ -317,11 +318,11 @@ def _split_pairs(one: Equation, two: Equation, splits: str, joints, setting: Set
         noise = noise + abs(alone.c) + abs(alone.d)
     pairs = []
     for side in (1, -1):
-        root = cosine_sine(alone.a, alone.b, alone.e, side, noise=noise, root=setting.root)
+        root = cosine_sine(alone.a, alone.b, alone.e, side, noise=noise)
         first = setting.filled(joints[0], root.free, root.sin, root.cos)
         rest = with_b.e - with_b.a * first.cos - with_b.b * first.sin
         for side_b in (1, -1):
-            deep = cosine_sine(with_b.c, with_b.d, rest, side_b, noise=noise, root=setting.root)
+            deep = cosine_sine(with_b.c, with_b.d, rest, side_b, noise=noise)
             second = setting.filled(joints[1], deep.free, deep.sin, deep.cos)
             pair = Pair(first, second, jnp.minimum(root.margin, deep.margin), root.free | deep.free)
             if splits != "exactly":

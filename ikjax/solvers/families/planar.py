@@ -24,6 +24,7 @@ from ikjax.core import safe, vector
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Angle, Scalar, SinCos
 from ikjax.core.vector import Vector
+from ikjax.core.xla import agreed_root, pin
 from ikjax.solvers.context import Branch, Joints, Setting, Slide
 from ikjax.solvers.steps.lines import Axis, axes_of, turned
 from ikjax.solvers.steps.triangle import triangle
@@ -174,11 +175,11 @@ def _turn_slide(c, u, sign, where, tip, setting) -> tuple[Way, ...]:
     arm, gap = _minus(tip, c), _minus(where, c)
     along, beside = _dot(arm, u), _cross(u, arm)
     far_squared = _dot(gap, gap)
-    root = setting.root(far_squared - beside * beside)
+    root = agreed_root(far_squared - beside * beside)
     margin = safe.sqrt(far_squared) - abs(beside)
     ways = []
     for side in (1, -1):
-        q = setting.hold(side * root - along)
+        q = pin(side * root - along)
         turn, free = setting.between(0, (arm[0] + u[0] * q, arm[1] + u[1] * q), gap, sign)
         ways.append(Way((turn, Slide(q)), margin, free))
     return tuple(ways)
@@ -210,9 +211,9 @@ def _slide_last(c, u, signs, heading, where, tip, setting) -> tuple[Way, ...]:
 def _line_and_circle(u, gap, radius_squared, setting):
     """q with |gap - u q| = radius, the larger first, and how far the line is inside the circle."""
     beside = _cross(u, gap)
-    root = setting.root(radius_squared - beside * beside)
+    root = agreed_root(radius_squared - beside * beside)
     margin = safe.sqrt(radius_squared) - abs(beside)
-    return [(setting.hold(_dot(gap, u) + side * root), margin) for side in (1, -1)]
+    return [(pin(_dot(gap, u) + side * root), margin) for side in (1, -1)]
 
 
 def _two_slides(kinds, c, u, signs, heading, where, tip, setting) -> tuple[Way, ...]:

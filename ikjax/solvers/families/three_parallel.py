@@ -29,6 +29,7 @@ from ikjax.arm.forward import Joint, Link, unwind
 from ikjax.core import safe, vector
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Angle, Scalar, SinCos, angle
+from ikjax.core.xla import pin
 from ikjax.solvers.context import Branch, Setting, bits
 from ikjax.solvers.steps.shoulder import shoulder
 from ikjax.solvers.steps.triangle import ring, triangle
@@ -132,7 +133,7 @@ def _pitch(seen: Pose, links: Links, side: Scalar, now: Angle, setting: Setting)
         now: The pitch where it is arbitrary.
         setting: What counts as zero.
     """
-    tiny, hold = setting.tiny, setting.hold
+    tiny = setting.tiny
     n = tuple(row[2] for row in seen.rotation)
     x, y, z = seen.position
     rho_squared = n[0] * n[0] + n[1] * n[1]
@@ -142,7 +143,7 @@ def _pitch(seen: Pose, links: Links, side: Scalar, now: Angle, setting: Setting)
     p_cos = jnp.where(free, now.cos, n[0] * weight)
     loose = rho_squared <= 4 * setting.tiny
     new_sin, new_cos, moved = _closing(x, y, links, p_sin, p_cos)
-    new_sin, new_cos = hold(new_sin), hold(new_cos)
+    new_sin, new_cos = pin(new_sin), pin(new_cos)
     # Turned on about y1, axis 6 has (level, n[1]) in the plane: along the new pitch.
     size_squared = n[0] * n[0] + n[2] * n[2]
     steep, tilted = jnp.abs(new_sin) > tiny, size_squared > tiny
@@ -161,10 +162,10 @@ def _pitch(seen: Pose, links: Links, side: Scalar, now: Angle, setting: Setting)
         & (slip <= setting.tiny)
         & (side * n[1] * new_sin >= 0)
     )
-    on_sin, on_cos = hold(jnp.where(able, root_sin, 0)), hold(jnp.where(able, root_cos, 1))
+    on_sin, on_cos = pin(jnp.where(able, root_sin, 0)), pin(jnp.where(able, root_cos, 1))
     moved &= loose | able
     p_sin, p_cos = jnp.where(moved, new_sin, p_sin), jnp.where(moved, new_cos, p_cos)
-    return Pitch(hold(p_sin), hold(p_cos), (on_sin, on_cos), free)
+    return Pitch(pin(p_sin), pin(p_cos), (on_sin, on_cos), free)
 
 
 def _turned_on(t1: Angle, s1: int, on: SinCos, setting: Setting) -> Angle:
@@ -178,13 +179,13 @@ def _seen_turned(seen: Pose, a1: Scalar, on: SinCos, setting: Setting) -> Pose:
 
     def back(v):
         turned = (v[0] * cosine - v[2] * sine, v[1], v[0] * sine + v[2] * cosine)
-        return tuple(map(setting.hold, turned))
+        return tuple(map(pin, turned))
 
     ahead, _, along = vector.transpose(seen.rotation)
     ahead, along = back(ahead), back(along)
     x, y, z = seen.position
     x, y, z = back((x + a1, y, z))
-    # The third column is cheaper to make again than to hold.
+    # The third column is cheaper to make again than to pin.
     return Pose(vector.transpose((ahead, vector.cross(along, ahead), along)), (x - a1, y, z))
 
 

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 
 from ikjax.core.roots import cosine_sine
 from ikjax.core.trig import Angle, Scalar
+from ikjax.core.xla import pin
 from ikjax.solvers.context import Setting
 
 
@@ -36,8 +37,8 @@ def shoulder(x: Scalar, y: Scalar, lateral: Scalar, side: Scalar, setting: Setti
         is the wrist's distance from the cylinder that it cannot enter; without a lateral offset
         there is none, the step cannot fail, and the margin is infinite.
     """
-    root = cosine_sine(-y, x, lateral, side, noise=setting.noise, root=setting.root)
+    root = cosine_sine(-y, x, lateral, side, noise=setting.noise)
     free = (x * x + y * y <= setting.tiny**2) & (abs(lateral) <= setting.tiny)
     turn = setting.filled(0, free | root.free, root.sin, root.cos)
     margin = jnp.where(lateral == 0, jnp.inf, root.margin)
-    return Shoulder(turn, setting.hold(root.height), margin, free)
+    return Shoulder(turn, pin(root.height), margin, free)

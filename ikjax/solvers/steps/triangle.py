@@ -11,6 +11,7 @@ import jax.numpy as jnp
 
 from ikjax.core import safe
 from ikjax.core.trig import Angle, Scalar
+from ikjax.core.xla import agreed_root, pin
 from ikjax.solvers.context import Setting
 
 
@@ -53,7 +54,7 @@ def triangle(
         Both angles as sines and cosines, clamped to the nearer end where the triangle cannot
         close, and the margin: how far the wrist is inside the ring, negative outside.
     """
-    now, tiny, hold = setting.now[1] if now is None else now, setting.tiny, setting.hold
+    now, tiny = setting.now[1] if now is None else now, setting.tiny
     span_squared = x * x + y * y
     span = safe.sqrt(span_squared)
     less, more = upper - fore, upper + fore
@@ -65,9 +66,9 @@ def triangle(
     straight = jnp.clip(_given_back(outer - span, turned * noise) * (outer + span) * scale, 0, 2)
     near = folded < straight
     small = jnp.where(near, folded, straight)
-    cosine = hold(jnp.where(near, folded - 1, 1 - straight))
-    root = safe.sqrt if isinstance(noise, float) and noise == 0 else setting.root
-    sine = hold(-left * turned * root(small * (2 - small)))
+    cosine = pin(jnp.where(near, folded - 1, 1 - straight))
+    root = safe.sqrt if isinstance(noise, float) and noise == 0 else agreed_root
+    sine = pin(-left * turned * root(small * (2 - small)))
     u, v = jnp.where(near, less + fore * folded, more - fore * straight), fore * sine
     weight = safe.reciprocal_sqrt(span_squared * (u * u + v * v))
     low, high = ring(upper, fore)

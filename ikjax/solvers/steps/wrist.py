@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from ikjax.core import safe
 from ikjax.core.trig import Angle, Scalar, choose, half_turn
 from ikjax.core.vector import Vector
+from ikjax.core.xla import agreed_root
 from ikjax.solvers.context import Setting
 
 
@@ -77,7 +78,7 @@ def general_wrist(
     along = c4 * c5 - n[2]
     cosine = jnp.clip(along * safe.divide(1, s4 * s5), -1, 1)
     margin = abs(s4 * s5) - jnp.abs(along)
-    height = side * setting.root((1 - cosine) * (1 + cosine))
+    height = side * agreed_root((1 - cosine) * (1 + cosine))
     u, v = s5 * height, -(c4 * s5 * cosine + s4 * c5)
     rho_squared = (n[0] * n[0] + n[1] * n[1]) * (u * u + v * v)
     free = rho_squared <= tiny**4

@@ -17,6 +17,7 @@ from ikjax.core import safe
 from ikjax.core.roots import CircleRoot, circle_quartic, cosine_sine, harmonics_at
 from ikjax.core.trig import Angle, Scalar
 from ikjax.core.vector import times
+from ikjax.core.xla import agreed, agreed_root, pin
 from ikjax.solvers.context import Setting, Slide
 from ikjax.solvers.steps.regional.point_chain import Chain, Poly
 
@@ -55,7 +56,7 @@ def roots(chain: Chain, p: Poly, setting: Setting, span: Scalar | None = None) -
         return _slides(p, setting, lambda change, _: length(change, -1))
     thirds = []
     for side in (1, -1):
-        root = cosine_sine(p.u, p.v, times(-1.0, p.one), side, noise=setting.noise, root=setting.root)
+        root = cosine_sine(p.u, p.v, times(-1.0, p.one), side, noise=setting.noise)
         turn = setting.filled(2, root.free, root.sin, root.cos)
         margin = length(root.margin, safe.sign(p.one))
         thirds.append(Third(turn, turn.cos, turn.sin, margin, root.free))
@@ -77,14 +78,14 @@ def _slides(p: Poly, setting: Setting, length: Callable[[Scalar, Scalar], Scalar
         length: From a change of the polynomial, and where, to how far the point moves for it.
     """
     if isinstance(p.uu, float) and p.uu == 0:
-        q = setting.hold(safe.divide(times(-1.0, p.one), p.u))
+        q = pin(safe.divide(times(-1.0, p.one), p.u))
         return [Third(Slide(q), q, 0.0, jnp.inf)]
     thirds = []
     per = safe.divide(1, p.uu)
     middle = -p.u * per / 2
     gap = middle * middle - p.one * per
     for side in (1, -1):
-        q = setting.hold(middle + safe.sign(p.uu) * side * setting.root(gap))
+        q = pin(middle + safe.sign(p.uu) * side * agreed_root(gap))
         thirds.append(Third(Slide(q), q, 0.0, length(abs(p.uu) * gap, middle), rise=side))
     return thirds
 
@@ -131,8 +132,8 @@ def circle_roots(
     harmonics = tuple(jnp.asarray(c) for c in harmonics)
     scale = sum(abs(c) for c in harmonics)
     weight = safe.divide(1, scale)
-    harmonics = tuple(setting.keep(c * weight) for c in harmonics)
-    found = circle_quartic(harmonics, setting.keep)
+    harmonics = tuple(agreed(c * weight) for c in harmonics)
+    found = circle_quartic(harmonics)
     thirds = []
 
     def length(value: Scalar, sine: Scalar, cosine: Scalar) -> Scalar:

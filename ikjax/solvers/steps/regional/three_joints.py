@@ -32,6 +32,7 @@ from ikjax.core.pose import IDENTITY, Pose
 from ikjax.core.roots import cosine_sine
 from ikjax.core.trig import Scalar
 from ikjax.core.vector import Vector, plus, times
+from ikjax.core.xla import agreed_root, pin
 from ikjax.solvers.context import Joints, Setting, Slide, moved_on, placed
 from ikjax.solvers.steps.regional.point_chain import Chain, Poly, chain_of
 from ikjax.solvers.steps.regional.third_joint import (
@@ -93,7 +94,7 @@ def _polished(
             small = size < jnp.where(way.margin > 0, 0.3, 4 * setting.rounding**0.25)
         else:
             small &= way.margin > -(setting.rounding**0.5)
-        steps = tuple(setting.hold(jnp.where(small, step, 0)) for step in steps)
+        steps = tuple(pin(jnp.where(small, step, 0)) for step in steps)
         moved_joints = map(moved_on, joints, steps)
         joints = tuple(j if isinstance(j, Slide) else setting.angle(j.sin, j.cos) for j in moved_joints)
     return way._replace(joints=joints)
@@ -149,7 +150,7 @@ def _two_turns(chain: Chain, wanted: Vector, how: str, setting: Setting):
         thirds = roots(chain, up, setting)
     nearly = setting.close_pairs(how)
     for third in thirds:
-        h1, h2, h3 = (setting.hold(p.at(third.u, third.v)) for p in chain.h)
+        h1, h2, h3 = (pin(p.at(third.u, third.v)) for p in chain.h)
         if how in ("", "nearly meet", "nearly parallel"):
             size = h1 * h1 + h2 * h2
             g1 = safe.divide(ahead.at(third.u, third.v), 2 * one.a)
@@ -241,7 +242,7 @@ def _turn_slide(chain: Chain, wanted: Vector, how: str, setting: Setting):
         for third in roots(chain, Poly(z).less(g2.times(s)), setting):
             gap = around - ahead.at(third.u, third.v) ** 2
             for side in (1, -1):
-                g3 = -s * side * setting.root(gap)
+                g3 = -s * side * agreed_root(gap)
                 margin = jnp.minimum(third.margin, safe.sqrt(around) - abs(ahead.at(third.u, third.v)))
                 answers.append((third, g3, margin))
     else:
@@ -328,7 +329,7 @@ def _turns(a: Scalar, b: Scalar, c: Scalar, setting: Setting):
     """Joint 2 from a cos + b sin = c, both ways."""
     answers = []
     for side in (1, -1):
-        root = cosine_sine(a, b, c, side, noise=setting.noise, root=setting.root)
+        root = cosine_sine(a, b, c, side, noise=setting.noise)
         free = (a * a + b * b <= setting.tiny**2) & (abs(c) <= setting.tiny)
         turn = setting.filled(1, free | root.free, root.sin, root.cos)
         answers.append((turn, root.margin, free))
