@@ -13,8 +13,9 @@ import numpy as np
 import ikjax
 from ikjax.core import cores
 from ikjax.core.pose import Pose
+from ikjax.core.tolerances import VALID
 from ikjax.ik.batched import wide_vectors
-from ikjax.solvers.pipeline import TOLERANCE, solve_scalars
+from ikjax.solvers.pipeline import solve_scalars
 
 BLOCK = 4096
 """Goals in a block of the kernel row, as in `ikjax.solve`."""
@@ -49,7 +50,7 @@ class Batch:
         return Batch(arm, *check.random_goals(arm, -(-count // unit) * unit))
 
     def judge(self, goals, answers, given) -> check.Tally:
-        tolerance = TOLERANCE[np.dtype(goals.dtype).name]
+        tolerance = VALID[np.dtype(goals.dtype).name]
         return check.judge(self.arm, goals, self.q, answers, given, tolerance)
 
 
@@ -165,5 +166,5 @@ def _again(arm: ikjax.Arm, found, dtype: str) -> tuple[int, check.Tally]:
     same &= valid.sum((-1, -2)) == np.asarray(found.solutions).reshape(-1)[chosen]
     # Here a goal without a solution is no failure: the grid is larger than the workspace.
     has = valid.any(-1)
-    tally = check.judge(arm, goals[has], None, np.asarray(sol.q)[has], valid[has], TOLERANCE[dtype])
+    tally = check.judge(arm, goals[has], None, np.asarray(sol.q)[has], valid[has], VALID[dtype])
     return int((~same).sum()), tally

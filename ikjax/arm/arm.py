@@ -20,20 +20,11 @@ from ikjax.arm.recognition.rules import RULES
 from ikjax.core import pose as poses
 from ikjax.core import text
 from ikjax.core.known import as_array, constants, is_traced
+from ikjax.core.tolerances import AXIS_LADDER, COMPLETE, FACT, LARGEST_AXIS_TOLERANCE, TABLE_SPREAD
 from ikjax.core.trig import Scalar
 from ikjax.core.warn import warn
 
 Number = jax.Array | np.ndarray
-
-SPREAD = 30
-"""A table whose numbers are larger than so many sizes of the arm is rewritten."""
-
-COMPLETE = 3e-4
-"""See `Arm.complete`."""
-
-LADDER, LARGEST_TOLERANCE = (1e-5, 1e-4, 1e-3), 0.02
-"""Tolerances that are tried for an arm of axes in space, the first that gives it a family; official files of
-the AgileX PiPER are off by 1.4e-4, of Doosan's M and A by 2.0e-4, of Kinova's Gen3 by 3.7e-4."""
 
 
 @jax.tree_util.register_dataclass
@@ -343,7 +334,7 @@ def _spread_out(kinds: str, columns: dict) -> bool:
     if is_traced(columns):
         return False
     largest = max(np.abs(columns["a"]).max(), np.abs(columns["d"]).max())
-    return bool(largest > SPREAD * size_of(_axes_of(kinds, columns, np.eye(4))))
+    return bool(largest > TABLE_SPREAD * size_of(_axes_of(kinds, columns, np.eye(4))))
 
 
 def _warn_of_rounded_twists(arm: Arm, leaves: dict, up: int) -> None:
@@ -351,7 +342,7 @@ def _warn_of_rounded_twists(arm: Arm, leaves: dict, up: int) -> None:
     if arm.family is None:
         return  # `solve` refuses it, and says the same
     rank = list(RULES).index
-    for each in LADDER[:1]:
+    for each in AXIS_LADDER[:1]:
         near = recognize.recognise(arm.kinds, leaves, None, up, each).family
         if near is not None and rank(near) < rank(arm.family):
             warn(
@@ -366,12 +357,12 @@ def _nearest(given: Axes, leaves: dict, tolerance: float | None, family, up: int
     Of the exact table and that of the first tolerance the one with the faster family is taken; looser ones
     are tried where neither has any.
     """
-    if tolerance is not None and not 0 <= tolerance <= LARGEST_TOLERANCE:
-        raise ValueError(f"tolerance must be between 0 and {LARGEST_TOLERANCE}, got {tolerance}")
-    ladder = LADDER if tolerance is None else (tolerance,)
+    if tolerance is not None and not 0 <= tolerance <= LARGEST_AXIS_TOLERANCE:
+        raise ValueError(f"tolerance must be between 0 and {LARGEST_AXIS_TOLERANCE}, got {tolerance}")
+    ladder = AXIS_LADDER if tolerance is None else (tolerance,)
     best: tuple[int, Rewritten] | None = None
     none = len(RULES)
-    for each in (recognize.TOLERANCE, *(max(rung, recognize.TOLERANCE) for rung in ladder)):
+    for each in (FACT, *(max(rung, FACT) for rung in ladder)):
         if each > ladder[0] and best is not None and best[0] < none:
             break
         table = rewritten(given, each)
@@ -386,7 +377,7 @@ def _nearest(given: Axes, leaves: dict, tolerance: float | None, family, up: int
             best = rank, table
     assert best is not None
     table = best[1]
-    small = np.abs(table.correction).max() <= recognize.TOLERANCE
+    small = np.abs(table.correction).max() <= FACT
     leaves = {
         **leaves,
         **table.columns,

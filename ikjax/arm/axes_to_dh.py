@@ -10,6 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ikjax.core.tolerances import FARTHEST_NORMAL, NEARLY_PARALLEL
+
 
 class Axes(NamedTuple):
     """Where the joints' axes are at q = 0, and where the last link ends."""
@@ -101,11 +103,6 @@ def _point(axes: Axes, i: int, exact: np.ndarray) -> np.ndarray:
     return axes.points[i] if axes.kinds[i] == "R" else exact[:3, 3]
 
 
-FARTHEST, PARALLEL = 4, 0.03
-"""Common normals farther along an axis than so many sizes of the arm are not looked for, where the axes are
-parallel to so much [rad]; a correction can hold 0.05."""
-
-
 def _link(frame: np.ndarray, axes: Axes, i: int, tolerance: float, size: float):
     """theta, d, a, alpha from a frame on axis i to one on axis i + 1."""
     along, near = axes.along[i + 1], tolerance * size
@@ -114,8 +111,8 @@ def _link(frame: np.ndarray, axes: Axes, i: int, tolerance: float, size: float):
     cross = np.cross(z, along)
     sine, cosine = float(np.linalg.norm(cross)), float(z @ along)
     gap = point - origin
-    far = abs(float(np.cross(gap, along) @ cross)) > FARTHEST * size * sine**2
-    if sine <= tolerance or (far and sine <= PARALLEL):
+    far = abs(float(np.cross(gap, along) @ cross)) > FARTHEST_NORMAL * size * sine**2
+    if sine <= tolerance or (far and sine <= NEARLY_PARALLEL):
         # Parallel: the normal is laid through the frame's own origin, to the next axis where it is near.
         gap = gap - (gap @ along) * along
         normal = gap - (gap @ z) * z

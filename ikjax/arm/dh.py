@@ -10,14 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ikjax.core import vector
-from ikjax.core.pose import NEAREST_WITHIN
+from ikjax.core.tolerances import EXACT_ROTATION, LONGEST_LENGTH, NEARLY_ROTATION
 from ikjax.core.warn import warn_of_degrees, warn_of_millimetres
-
-EXACT = 1e-14
-"""R^T R - I of a float64 rotation is below."""
-
-MAX_LENGTH = 1e100
-"""Beyond this a length [m] is a mistake: its square no longer fits a float64."""
 
 
 def count_joints(**columns) -> int:
@@ -55,7 +49,7 @@ def row(name: str, value, n: int):
     if value.shape != (n,):
         raise ValueError(f"{name} must have shape ({n},), got {value.shape}")
     if isinstance(value, np.ndarray):
-        bad = ~(np.abs(value) <= MAX_LENGTH)
+        bad = ~(np.abs(value) <= LONGEST_LENGTH)
         if bad.any():
             i = int(np.argmax(bad))
             raise ValueError(f"{name}[{i}] (joint {i + 1}) must be a finite number, got {value[i]}")
@@ -80,10 +74,10 @@ def check_pose(name: str, value):
         rotation = value[:3, :3]
         gap = np.linalg.norm(rotation.T @ rotation - np.eye(3))
         if gap > 1e-5 or np.linalg.det(rotation) < 0:
-            rounded = EXACT < gap <= NEAREST_WITHIN
+            rounded = EXACT_ROTATION < gap <= NEARLY_ROTATION
             remedy = ": take the nearest with pose(matrix=..., orthonormalize=True)" if rounded else ""
             raise ValueError(f"{name} must hold a rotation, its R^T R - I has norm {gap:.1g}{remedy}")
-        if gap > EXACT:
+        if gap > EXACT_ROTATION:
             value = value.copy()
             value[:3, :3] = vector.orthonormal(tuple(map(tuple, rotation.tolist())))
     return value

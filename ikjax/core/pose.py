@@ -12,26 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from ikjax.core import safe, vector
+from ikjax.core.tolerances import FARTHEST_GOAL, LARGEST_ENTRY, NEARLY_ROTATION, ROTATION
 from ikjax.core.trig import Scalar, atan2, sincos
 from ikjax.core.vector import Matrix, Vector
 from ikjax.core.warn import warn_of_degrees
 from ikjax.core.xla import pin
-
-ROTATION_TOLERANCE = 1e-5
-"""|R^T R - I| beyond this is no rotation: `solve` masks the goal."""
-
-NEARLY_ROTATION = 1e-2
-"""Up to this, what goes to the nearest pose anyway takes the nearest rotation: three typed decimals."""
-
-WILD = 1e6
-"""Entries of a rotation count as no larger: the fourth power is finite in float32."""
-
-FAR = 1e6
-"""Goals further than so many reaches are answered as if they stood there."""
-
-
-NEAREST_WITHIN = 1e-2
-"""The norm of R^T R - I up to which a matrix stands for the rotation nearest to it."""
 
 
 class Pose(NamedTuple):
@@ -281,7 +266,7 @@ def _from_array(value, orthonormalize: bool, dtype) -> tuple[Matrix, Vector | No
     if orthonormalize:
         if known is not None:
             _check_rotation(known[..., :3, :3])
-        near = vector.orthonormality_error(rotation) <= NEAREST_WITHIN
+        near = vector.orthonormality_error(rotation) <= NEARLY_ROTATION
         # The iteration overflows far from a rotation, where its derivative would be NaN.
         nearest = vector.nearest_rotation(_choose(near, rotation, vector.IDENTITY))
         rotation = _choose(near, nearest, rotation)
@@ -297,9 +282,9 @@ def _choose(which: jax.Array, first: Matrix, second: Matrix) -> Matrix:
 def _check_rotation(matrix: np.ndarray) -> None:
     gap = np.linalg.norm(np.swapaxes(matrix, -1, -2) @ matrix - np.eye(3), axis=(-2, -1))
     worst = float(np.max(gap, initial=0.0))
-    if not worst <= NEAREST_WITHIN:
+    if not worst <= NEARLY_ROTATION:
         raise ValueError(
-            f"matrix must be a rotation within {NEAREST_WITHIN:g}, its R^T R - I has norm {worst:.2g}"
+            f"matrix must be a rotation within {NEARLY_ROTATION:g}, its R^T R - I has norm {worst:.2g}"
         )
     if np.any(np.linalg.det(matrix) < 0):
         raise ValueError("matrix must be a rotation, got a reflection (determinant -1)")
@@ -331,7 +316,7 @@ def position(x, y, z, *, dtype=None) -> jax.Array:
 def clean(goal: Pose, reach: Scalar) -> tuple[Pose, jax.Array]:
     """A goal that is finite, orthonormal and not absurdly far, and whether it was a pose at all."""
     goal, off = _measured(goal, reach)
-    rigid = off <= ROTATION_TOLERANCE
+    rigid = off <= ROTATION
     return Pose(vector.orthonormal(_or_identity(rigid, goal.rotation)), goal.position), rigid
 
 
@@ -363,9 +348,10 @@ def _measured(goal: Pose, reach: Scalar) -> tuple[Pose, jax.Array]:
         finite &= jnp.isfinite(number)
     # A wild matrix must not overflow on its way to being refused.
     rotation = tuple(
-        tuple(jnp.clip(c, -WILD, WILD) for c in row) for row in _or_identity(finite, goal.rotation)
+        tuple(jnp.clip(c, -LARGEST_ENTRY, LARGEST_ENTRY) for c in row)
+        for row in _or_identity(finite, goal.rotation)
     )
-    far = FAR * reach
+    far = FARTHEST_GOAL * reach
     position = tuple(jnp.where(finite, jnp.clip(p, -far, far), 0) for p in goal.position)
     proper = finite & (vector.determinant(rotation) > 0)
     off = jnp.where(proper, vector.orthonormality_error(rotation), jnp.inf)

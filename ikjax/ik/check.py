@@ -9,16 +9,12 @@ import numpy as np
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import reach
 from ikjax.arm.recognition import recognize
-from ikjax.core.pose import NEAREST_WITHIN, ROTATION_TOLERANCE
+from ikjax.core.tolerances import MILLIMETRES, NEARLY_ROTATION, ROTATION, VALID
 from ikjax.core.warn import warn
 from ikjax.ik.refusal import refusal, what_was_found
 from ikjax.ik.solve import as_goals
 from ikjax.solvers.families import FAMILIES
-from ikjax.solvers.pipeline import TOLERANCE, as_solved
-
-FAR = 10
-"""Goals beyond so many reaches are taken for millimetres: one within reach is, in millimetres, a hundred
-reaches away or more, unless it is within a hundredth of the reach of the base."""
+from ikjax.solvers.pipeline import as_solved
 
 
 def check_goals(arm: Arm, goals) -> None:
@@ -58,10 +54,10 @@ def check_goals(arm: Arm, goals) -> None:
     rotation = flat[:, :3, :3]
     with np.errstate(over="ignore", invalid="ignore"):  # of a matrix of 1e308, say
         error = np.linalg.norm(np.swapaxes(rotation, 1, 2) @ rotation - np.eye(3), axis=(1, 2))
-    bad = ~(error <= ROTATION_TOLERANCE)
+    bad = ~(error <= ROTATION)
     if bad.any():
         name, _ = first(bad)
-        rounded = error[bad][0] <= NEAREST_WITHIN
+        rounded = error[bad][0] <= NEARLY_ROTATION
         remedy = ": take the nearest with pose(matrix=..., orthonormalize=True)" if rounded else ""
         raise ValueError(f"{name} must hold a rotation, its R^T R - I has norm {error[bad][0]:.1g}{remedy}")
     bad = np.linalg.det(rotation) < 0
@@ -70,7 +66,7 @@ def check_goals(arm: Arm, goals) -> None:
         raise ValueError(f"{name} must hold a rotation, got a reflection (determinant -1)")
     within = float(reach(arm.baked()))
     distance = np.linalg.norm(flat[:, :3, 3] - np.asarray(arm.base, float)[:3, 3], axis=1)
-    far = distance > FAR * within
+    far = distance > MILLIMETRES * within
     if far.any() and within > 0:
         name, _ = first(far)
         warn(
@@ -109,7 +105,7 @@ def explain(arm: Arm) -> str:
             f"As given, its axes are off by up to {off[:, 3:].max():.2g} rad and {off[:, :3].max():.2g} m; "
             "solve answers for the arm as given."
         )
-        unnoticed = [name for name in TOLERANCE if as_solved(arm.astype(name)).correction is None]
+        unnoticed = [name for name in VALID if as_solved(arm.astype(name)).correction is None]
         if unnoticed:
             lines.append(
                 f"In {' and '.join(unnoticed)} that is less than a hundredth of what `valid` allows, and is "

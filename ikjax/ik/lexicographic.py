@@ -21,6 +21,7 @@ import jax.numpy as jnp
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import reach
 from ikjax.core.pose import Pose
+from ikjax.core.tolerances import CONVERGED, CURVATURE_FLOOR, LAST_WEIGHT, SAME_COST, SAME_ERROR
 from ikjax.core.trig import Scalar
 from ikjax.ik import newton
 from ikjax.ik.newton import Joints, State, Wish
@@ -29,19 +30,11 @@ from ikjax.solvers.pipeline import TURNING
 
 PRIORITIES = ("weighted", "position", "orientation")
 
-SHARE = {"float32": 1e-3, "float64": 1e-6}
-"""What the square of the second error is worth at last, lengths in reaches: much less is lost in rounding."""
 
 EASE = {"float32": 10.0, "float64": 100.0}
 """By how much it is worth less from stage to stage."""
 
 STAGES = 3
-
-SAME = {"float32": 1e-5, "float64": 1e-10}
-"""Least values that differ by such a share are one: several branches stand in one pose."""
-
-ALIKE = {"float32": 1e-4, "float64": 1e-7}
-"""First errors this close count as equal [reaches, or rad]: then the second decides."""
 
 
 def checked(arm: Arm, priority: str) -> str:
@@ -56,8 +49,8 @@ def wish(arm: Arm, goal: Pose, length: Scalar, priority: str, share: Scalar | No
     if priority == "weighted":
         return Wish(goal, length)
     dtype = goal.position[0].dtype
-    share = jnp.asarray(SHARE[dtype.name] if share is None else share, dtype)
-    floor, size = newton.FLOOR * jnp.where(share > 0, share, 1), reach(arm)
+    share = jnp.asarray(LAST_WEIGHT[dtype.name] if share is None else share, dtype)
+    floor, size = CURVATURE_FLOOR * jnp.where(share > 0, share, 1), reach(arm)
     if priority == "position":
         return Wish(goal, size * jnp.sqrt(share), 1.0, floor)
     return Wish(goal, size, share, floor)
@@ -82,8 +75,8 @@ def _staged(
     arm: Arm, wish_of: Callable[[Scalar], Wish], priority: str, q, steps
 ) -> tuple[State, Scalar, Joints]:
     dtype, zero = q[0].dtype, jnp.zeros_like(q[0])
-    last, ease = (jnp.asarray(x[dtype.name], dtype) for x in (SHARE, EASE))
-    allowed = newton.CONVERGED[dtype.name]
+    last, ease = (jnp.asarray(x[dtype.name], dtype) for x in (LAST_WEIGHT, EASE))
+    allowed = CONVERGED[dtype.name]
 
     def stage(k, carried):
         before, q, at, flat = carried
@@ -118,12 +111,12 @@ def best(arm: Arm, branches: Projection, priority: str) -> jax.Array:
     name = branches.q.dtype.name
     rounding = 16 * float(jnp.finfo(name).eps)
     if priority == "weighted":
-        return jnp.argmax(_least(branches.cost, SAME[name], (rounding * reach(arm)) ** 2), axis=-1)
+        return jnp.argmax(_least(branches.cost, SAME_COST[name], (rounding * reach(arm)) ** 2), axis=-1)
     first, second, size, other = branches.rotation_error, branches.position_error, 1, reach(arm)
     if priority == "position":
         first, second, size, other = second, first, other, size
-    candidates = jnp.where(_least(first, 0, ALIKE[name] * size), second, jnp.inf)
-    return jnp.argmax(_least(candidates, SAME[name], rounding * other), axis=-1)
+    candidates = jnp.where(_least(first, 0, SAME_ERROR[name] * size), second, jnp.inf)
+    return jnp.argmax(_least(candidates, SAME_COST[name], rounding * other), axis=-1)
 
 
 def _least(values: jax.Array, share: float, slack: Scalar) -> jax.Array:

@@ -16,7 +16,8 @@ import numpy as np
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import reach, whole_turns
 from ikjax.core.known import as_array, is_traced, stop_gradient
-from ikjax.core.pose import NEARLY_ROTATION, Pose, nearest_pose
+from ikjax.core.pose import Pose, nearest_pose
+from ikjax.core.tolerances import CONVERGED, NEARLY_ROTATION
 from ikjax.core.trig import Scalar
 from ikjax.core.xla import Pin, divider_once, pinning
 from ikjax.ik import batched, newton
@@ -232,7 +233,7 @@ def _from_starts(
     flat = flat if policy is None else policy(flat)
     at, size = state.at, reach(arm)
     seen = newton.is_seen(arm, goal, at, length)
-    down = proper & seen & (flat <= newton.CONVERGED[flat.dtype.name])
+    down = proper & seen & (flat <= CONVERGED[flat.dtype.name])
     cost = size * size * at.cost
     if priority != "weighted":
         cost = (size * at.gap) ** 2 + (length * at.angle) ** 2

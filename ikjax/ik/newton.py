@@ -30,26 +30,20 @@ from ikjax.core import pose as poses
 from ikjax.core import safe, vector
 from ikjax.core.linear import solve_symmetric
 from ikjax.core.pose import Pose
+from ikjax.core.tolerances import CONVERGED, CURVATURE_FLOOR, NEARLY_FLAT, SADDLE_PUSH
 from ikjax.core.trig import Scalar
 from ikjax.core.vector import plus, times
 from ikjax.core.xla import divider_once, pin, pinning
 from ikjax.ik.turns import nearest_turn
 from ikjax.solvers.pipeline import TURNING
 
-CONVERGED = {"float32": 2e-5, "float64": 1e-8}
-"""The slope counts as zero below this; see `steepness`."""
-
 LARGEST_STEP = 1.0
 """Of any joint [rad, or reaches]."""
 
-PUSH, NEARLY_FLAT = 0.1, 1e-3
-"""A step goes so far [rad, or reaches] off a saddle, where the slope is less than that."""
 
 FIRST_DAMPING, EASED = 1e-2, 10.0
 """As a share of the curvature; divided by `EASED` after a step that led down, multiplied after others."""
 
-FLOOR = 1e-6
-"""The least curvature [reaches^2 / rad^2] that a step believes in."""
 
 Joints = tuple[Scalar, ...]
 
@@ -63,7 +57,7 @@ class Wish(NamedTuple):
     """What a radian is worth [m]; zero where the task asks for no orientation."""
     point: Scalar = 1.0
     """What the square of the distance is worth."""
-    floor: Scalar = FLOOR
+    floor: Scalar = CURVATURE_FLOOR
     """The least curvature that a step believes in."""
     still: tuple[jax.Array, ...] | None = None
     """Joints that do not move."""
@@ -266,7 +260,7 @@ def step(arm: Arm, wish: Wish, state: State) -> State:
     down = [pin(-f * s) for f, s in zip(free, at.slope, strict=True)]
     # On a saddle, where many an arm is at home, the slope leads nowhere, and damping would hide the way down.
     flat = pin(jnp.where(_square(down) < NEARLY_FLAT**2, zero + 1, zero))
-    push, damped = PUSH * flat, damping * (1 - 0.99 * flat)
+    push, damped = SADDLE_PUSH * flat, damping * (1 - 0.99 * flat)
     matrix = [
         [pin(free[i] * free[j] * at.curve[i][j]) for j in range(i)]
         + [pin(free[i] * (at.curve[i][i] + damped * (abs(at.curve[i][i]) + 1e-2)) + (1 - free[i]))]

@@ -19,11 +19,12 @@ import jax.numpy as jnp
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import reach
 from ikjax.core.linear import solve_symmetric
-from ikjax.core.pose import NEARLY_ROTATION, Pose, nearest_pose
+from ikjax.core.pose import Pose, nearest_pose
+from ikjax.core.tolerances import LAST_WEIGHT, NEARLY_ROTATION
 from ikjax.core.xla import divider, divider_once, pinning
 from ikjax.ik import newton
 from ikjax.ik.inline import entries_of
-from ikjax.ik.lexicographic import SHARE, wish
+from ikjax.ik.lexicographic import wish
 
 
 def with_slopes(arm: Arm, goals, q, bottom, length, converged, priority: str):
@@ -88,7 +89,9 @@ def _(priority: str, known: tuple, primals, tangents):
         for i, row in enumerate(at.curve)
     ]
     right = [jnp.where(f, 0, -s) for f, s in zip(fixed, rate.slope, strict=True)]
-    floor = jnp.finfo(q.dtype).eps ** 0.5 * (1.0 if priority == "weighted" else SHARE[q.dtype.name] ** 0.5)
+    floor = jnp.finfo(q.dtype).eps ** 0.5 * (
+        1.0 if priority == "weighted" else LAST_WEIGHT[q.dtype.name] ** 0.5
+    )
     steps = solve_symmetric(matrix, right, floor=jnp.asarray(floor, q.dtype))
     size = reach(arm)
     units = [size if kind == "P" else 1.0 for kind in arm.kinds]

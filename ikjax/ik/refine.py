@@ -11,7 +11,8 @@ import optax
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import fk, reach
 from ikjax.core.known import as_array
-from ikjax.core.pose import NEARLY_ROTATION, nearest_pose, pose_error, to_matrix
+from ikjax.core.pose import nearest_pose, pose_error, to_matrix
+from ikjax.core.tolerances import CONVERGED, NEARLY_ROTATION
 from ikjax.ik import lexicographic as priorities
 from ikjax.ik import newton
 from ikjax.ik.inline import entries_of
@@ -131,5 +132,5 @@ def minimised(arm: Arm, goals: jax.Array, starts: jax.Array, loss, optimizer, st
     proper = proper[..., None]
     errors = pose_error(fk(arm, q), goals[..., None, :, :])
     gap, angle = (jnp.where(proper, x, jnp.nan) for x in errors)
-    down = proper & jnp.isfinite(value) & (steep <= newton.CONVERGED[q.dtype.name])
+    down = proper & jnp.isfinite(value) & (steep <= CONVERGED[q.dtype.name])
     return Projection(q, value, gap, angle, steep, down)

@@ -28,12 +28,10 @@ from ikjax.arm.forward import chain, fixed_pose, reach
 from ikjax.core import pose as poses
 from ikjax.core import vector
 from ikjax.core.linear import solve_symmetric
+from ikjax.core.tolerances import GRADIENT_DAMPING
 from ikjax.core.trig import Scalar
 from ikjax.core.xla import divider, opaque_one, pinning
 from ikjax.ik.inline import entries_of, slots_of
-
-DAMPING = 16
-"""In square roots of the type's rounding: below it, J^T J is rounding."""
 
 BLOCK = 4096
 """Goals whose slopes are worked on at a time."""
@@ -49,13 +47,13 @@ def with_slopes(arm: Arm, goals: jax.Array, q, valid, margin, damping: float | N
         arm: Its leaves may be traced.
         goals: (..., 4, 4).
         q, valid, margin: Of `Solutions`, without derivatives.
-        damping: Of the pseudo-inverse; None is `DAMPING` square roots of the rounding.
+        damping: Of the pseudo-inverse; None is `GRADIENT_DAMPING` square roots of the rounding.
 
     Returns:
         q and margin.
     """
     if damping is None:
-        damping = DAMPING * float(jnp.finfo(q.dtype).eps) ** 0.5
+        damping = GRADIENT_DAMPING * float(jnp.finfo(q.dtype).eps) ** 0.5
     known, leaves = arm.split(whole=True)
 
     return (

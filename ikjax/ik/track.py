@@ -14,20 +14,17 @@ import numpy as np
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import reach
 from ikjax.core.known import as_array, stop_gradient
+from ikjax.core.tolerances import TRACK_SLACK, VALID
 from ikjax.ik import newton
 from ikjax.ik.inline import entries_of, jit_with_arm
 from ikjax.ik.multistart import asked, checked, from_starts, goal_error, proposals
 from ikjax.ik.results import Path
 from ikjax.ik.solve import check_family
-from ikjax.solvers.pipeline import TOLERANCE
 
 STEPS = 24
 
 LEAP = 0.5
 """[rad]"""
-
-SLACK = 1e-3
-"""As a share of the reach."""
 
 
 def track(
@@ -73,7 +70,7 @@ def track(
         raise ValueError(f"q0 must have shape {(*batch, arm.n)}, got {q0.shape}")
     q0 = jnp.broadcast_to(q0, (*batch, arm.n))
     if slack is None:
-        slack = SLACK * reach(arm)
+        slack = TRACK_SLACK * reach(arm)
     numbers = tuple(as_array(x, goals.dtype) for x in (length, leap, slack))
     arm, goals, q0, numbers = stop_gradient((arm, goals, q0, numbers))
     return _tracked(arm, goals, q0, *numbers, np.int32(steps))
@@ -114,7 +111,7 @@ def _next(arm: Arm, goal, q, length, leap, slack, steps: int) -> Path:
 
     moved = jnp.where(proper[..., None], jnp.stack([pick(x) for x in values], axis=-1), q)
     jumped = proper & (~stays | (pick(moves) > leap))
-    tolerance = TOLERANCE[goal.dtype.name]
+    tolerance = VALID[goal.dtype.name]
     size = reach(arm) + jnp.sqrt(sum(x * x for x in pose.position))
     gap, angle = pick(found.position_error), pick(found.rotation_error)
     reached = proper & (gap <= tolerance * size) & (angle <= tolerance)

@@ -12,16 +12,11 @@ import numpy as np
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import fk, frames, reach
 from ikjax.arm.twists import jacobian
+from ikjax.core.tolerances import FOUND_AGAIN, REGULAR, VALID
 from ikjax.ik.multistart import ranges
 from ikjax.ik.solve import check_family, solve
-from ikjax.solvers.pipeline import TOLERANCE
 
 BATCH = 20_000
-REGULAR = {"float32": 3e-2, "float64": 1e-4}
-"""Least singular value of the task's Jacobian, in reaches, from which on joints must be found again."""
-
-FOUND = {"float32": 1e-6, "float64": 1e-8}
-"""They count as found within this over that singular value, [rad] and reaches."""
 
 
 class Report(NamedTuple):
@@ -108,7 +103,7 @@ def _judged(arm: Arm, q: np.ndarray, dtype):
     # Joints are rounded on their way out, and forward kinematics on its way here.
     eps = float(np.finfo(dtype).eps)
     rounding = eps * (60 + 8 * np.abs(sol.q).max(-1) / size * np.array("P" in arm.kinds))
-    allowed = TOLERANCE[dtype.name] + rounding
+    allowed = VALID[dtype.name] + rounding
     wrong = sol.valid & ((gap > allowed * scale) | (turn > allowed))
     motions = np.array(jacobian(arm, q), float)
     motions[:, :3] /= size
@@ -121,7 +116,7 @@ def _judged(arm: Arm, q: np.ndarray, dtype):
     near = np.where(sol.valid, off, np.inf).min(-1)
     regular = least > REGULAR[dtype.name]
     none = ~sol.valid.any(-1)
-    missing = regular & ~none & (near > FOUND[dtype.name] / np.maximum(least, 1e-300) + 1e3 * eps)
+    missing = regular & ~none & (near > FOUND_AGAIN[dtype.name] / np.maximum(least, 1e-300) + 1e3 * eps)
     worst = (gap / scale)[sol.valid].max(initial=0.0)
     return wrong.any(-1), none, missing & ~wrong.any(-1), float(worst)
 

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ikjax.arm.arm import Arm
+from ikjax.core.tolerances import VALID
 from ikjax.ik.solve import check_family
 from ikjax.maps import statistics
 from ikjax.maps.kernel.program import Kernel, kernel_of
@@ -26,7 +27,6 @@ from ikjax.maps.sets.surface import Surface
 from ikjax.maps.store import log, manifest, store
 from ikjax.maps.store.lock import Lock
 from ikjax.maps.store.storage import Place
-from ikjax.solvers.pipeline import TOLERANCE
 
 __all__ = ["SweepStoppedError", "sweep"]
 
@@ -168,7 +168,7 @@ def _checked(arm: Arm, positions, rolls: int, dtype, certify: bool) -> np.dtype:
     if type(positions) not in (Grid, Shell, Surface):
         raise ValueError(f"positions must be a grid, a shell or a surface, got {type(positions).__name__}")
     dtype = np.dtype(arm.dtype if dtype is None else dtype)
-    if dtype.name not in TOLERANCE:
+    if dtype.name not in VALID:
         raise ValueError(f"dtype must be float32 or float64, got {dtype}")
     if positions.count > MOST_POSITIONS:
         raise ValueError(

@@ -11,6 +11,7 @@ import numpy as np
 from ikjax.arm.forward import Joint, Link, known_sincos, unwind
 from ikjax.core import safe
 from ikjax.core.pose import Pose
+from ikjax.core.tolerances import TINY
 from ikjax.core.trig import Angle, Scalar, angle, nudged
 from ikjax.core.vector import Vector, plus
 from ikjax.core.xla import pin
@@ -21,9 +22,6 @@ class Slide(NamedTuple):
 
     value: Scalar
 
-
-TINY = 64
-"""Lengths in units of the reach and sines count as zero below so many eps."""
 
 Joints = tuple[Any, ...]
 """An `Angle` for each turning joint, a `Slide` for each sliding one."""

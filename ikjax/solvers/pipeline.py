@@ -32,15 +32,12 @@ from ikjax.core import pose as poses
 from ikjax.core import safe, vector
 from ikjax.core.known import is_traced
 from ikjax.core.pose import Pose
+from ikjax.core.tolerances import TINY, VALID
 from ikjax.core.trig import Angle, Scalar, atan2, canonical, sincos, wrap
 from ikjax.core.xla import pin
-from ikjax.solvers.context import TINY, Branch, Joints, Setting, Slide, placed
+from ikjax.solvers.context import Branch, Joints, Setting, Slide, placed
 from ikjax.solvers.families import FAMILIES, Family
 from ikjax.solvers.given_arm import Given, polished
-
-TOLERANCE = {"float32": 2e-5, "float64": 1e-9}
-"""A slot is valid when its pose is this close, [rad] and as a share of (reach + |p|)."""
-
 
 TURNING = ("pose", "planar_pose")
 """Tasks that ask for an orientation."""
@@ -77,7 +74,7 @@ def as_solved(arm: Arm) -> Arm:
 
 def unseen(dtype) -> float:
     """What a correction must be larger than to count, [rad] and as a share of the reach."""
-    return TOLERANCE[np.dtype(dtype).name] / 100
+    return UNSEEN * VALID[np.dtype(dtype).name]
 
 
 class Frame(NamedTuple):
@@ -152,12 +149,12 @@ def solve_scalars(
         arm: An arm with a family.
         goal: T_world_tool with an orthonormal rotation; `clean` makes one of anything.
         now: Joint values that arbitrary joints follow; zero by default.
-        tolerance: Overrides `TOLERANCE` for the goal's type.
+        tolerance: Overrides `VALID` for the goal's type.
 
     Returns:
         One `Slot` for each branch of the family, in slot order.
     """
-    tolerance = TOLERANCE[jnp.result_type(goal.position[0]).name] if tolerance is None else tolerance
+    tolerance = VALID[jnp.result_type(goal.position[0]).name] if tolerance is None else tolerance
     frame, tip, setting = _set(arm, goal, now)
     allowed = tolerance * (1 + frame.per_reach * vector.norm(goal.position))
     turning = arm.task in TURNING

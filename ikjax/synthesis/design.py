@@ -16,6 +16,7 @@ import optax
 
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import reach
+from ikjax.core.tolerances import CONSTRAINT_MET
 from ikjax.ik.check import check_goals
 from ikjax.ik.select import within_limits
 from ikjax.ik.solve import as_goals, check_family, solve
@@ -99,9 +100,6 @@ NEAR, AT = 4.0, 20.0
 
 SEARCH, LONGER, SHORTER = 0.2, 1.5, 0.8
 """Steps of the search at the end: at first, and how they change."""
-
-MET = 1e-4
-"""Constraints above zero by less are met."""
 
 
 def design(
@@ -233,7 +231,7 @@ def design(
 
 def _best(exact: np.ndarray, over: np.ndarray, given: np.ndarray) -> int:
     """The greatest exact score among those that meet the constraints; a start where nothing is better."""
-    return int(np.lexsort((given, -np.nan_to_num(exact, nan=-np.inf), over > MET))[0])
+    return int(np.lexsort((given, -np.nan_to_num(exact, nan=-np.inf), over > CONSTRAINT_MET))[0])
 
 
 def _searched(judge, z: np.ndarray, best: tuple, count: int, seed: int, together: int) -> tuple:
@@ -252,7 +250,7 @@ def _searched(judge, z: np.ndarray, best: tuple, count: int, seed: int, together
             beside[0] = np.where(near, AT * np.sign(z), z)
         values, exact, over = (np.asarray(x) for x in judge(jnp.asarray(beside, best[0].dtype)))
         i = _best(np.append(exact, best[1]), np.append(over, best[2]), np.arange(together + 1) == together)
-        better = i < together and (exact[i] != best[1] or over[i] <= MET < best[2])
+        better = i < together and (exact[i] != best[1] or over[i] <= CONSTRAINT_MET < best[2])
         if i < together:
             z, best = beside[i], (values[i], exact[i], over[i])
         size *= LONGER if better else SHORTER

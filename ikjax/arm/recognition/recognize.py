@@ -10,17 +10,12 @@ from ikjax.arm.axes_to_dh import small_pose, twist_of
 from ikjax.arm.recognition.facts import Check, Table
 from ikjax.arm.recognition.rules import RULES, Judgement, nearly_split
 from ikjax.core.known import is_traced
-
-TOLERANCE = 1e-10
-"""How far [rad, or as a share of the reach] a fact may be off and still hold.
-
-Well below the 1e-9 that `valid` allows, so that an arm that is recognised can be solved.
-"""
+from ikjax.core.tolerances import FACT
 
 
 def tolerance_of(dtype) -> float:
     """The tolerance for numbers that have been rounded to a type."""
-    return max(TOLERANCE, 8 * float(np.finfo(dtype).eps))
+    return max(FACT, 8 * float(np.finfo(dtype).eps))
 
 
 class Verdict(NamedTuple):
@@ -41,7 +36,7 @@ def recognise(
     numbers: dict,
     family: str | None = None,
     up: int = 1,
-    tolerance: float = TOLERANCE,
+    tolerance: float = FACT,
 ) -> Verdict:
     """The first family whose facts all hold.
 
@@ -102,7 +97,7 @@ def split_exactly(kinds: str, leaves: dict, verdict: Verdict) -> dict:
     """
     if verdict.family is None or any(is_traced(leaves[key]) for key in ("a", "alpha", "d", "correction")):
         return leaves
-    near = nearly_split(_table(kinds, leaves, 1, TOLERANCE), verdict.family)
+    near = nearly_split(_table(kinds, leaves, 1, FACT), verdict.family)
     if near is None:
         return leaves
     name, place, value = near
@@ -153,7 +148,7 @@ def describe(checks: tuple[Check, ...]) -> str:
     return "; ".join(f"{c.fact}: {c.deviation:.3g}, wanted {c.wanted}" for c in failed)
 
 
-def found(kinds: str, numbers: dict, tolerance: float = TOLERANCE) -> str:
+def found(kinds: str, numbers: dict, tolerance: float = FACT) -> str:
     """Which neighbouring axes are parallel, perpendicular and meeting, in words."""
     alpha, a = np.asarray(numbers["alpha"], float), np.asarray(numbers["a"], float)
     size = max(float(np.abs(a).sum() + np.abs(np.asarray(numbers["d"], float)).sum()), 1e-300)

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ikjax.arm.recognition.facts import Check, Table
+from ikjax.core.tolerances import NEARLY_SPLITS, SPLITS
 
 Judgement = tuple[list[Check], tuple, tuple[str, ...]]
 """What was checked, what the kernel must know besides the numbers, and the names of the slots."""
@@ -102,13 +103,6 @@ def _position(t: Table) -> Judgement:
     return checks, (how,), _slots(*_regional_bits(t.kinds, how))
 
 
-SPLITS = {"regional": 3e-4, "parallel_axes": 1e-5}
-NEARLY = {"nearly": 3e-4, "nearly in float32": 0.03}
-"""Equations that are off by less than `SPLITS` from one that splits, in shares of the size or sines, are
-solved from the split one, those off by less than `NEARLY` with care for close pairs of roots. Measured on
-2,000 goals an arm: the quartic alone leaves goals unanswered below 1e-4 in float64, 3e-2 in float32."""
-
-
 def _deviations(t: Table) -> dict[str, float]:
     """How far the equation that is left for joint 3 is from each form in which it splits."""
     kinds = t.kinds[:2]
@@ -125,7 +119,7 @@ def _split(t: Table) -> str:
         if off <= t.tolerance:
             return how
     how = min(deviations, key=lambda key: deviations[key])
-    return f"nearly {how}" if deviations[how] <= NEARLY["nearly in float32"] else ""
+    return f"nearly {how}" if deviations[how] <= NEARLY_SPLITS["nearly in float32"] else ""
 
 
 def nearly_split(t: Table, family: str) -> tuple[str, int, float] | None:
@@ -173,7 +167,7 @@ def _parallel_axes(t: Table) -> Judgement:
         apart = float(np.linalg.norm(np.cross(along[which[0]], between)))
         checks.append(t.apart(f"axes {i + 1} and {i + 2} apart", apart))
     off = _proportional(place, along, points) / t.size
-    bounds = {"exactly": t.tolerance, "within 1e-5": SPLITS["parallel_axes"], **NEARLY}
+    bounds = {"exactly": t.tolerance, "within 1e-5": SPLITS["parallel_axes"], **NEARLY_SPLITS}
     splits = next((how for how, most in bounds.items() if off <= most), "")
     pairs = [("rising", "falling"), ("low", "high")]
     if splits in ("exactly", "within 1e-5"):

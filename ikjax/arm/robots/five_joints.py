@@ -7,9 +7,9 @@ import numpy as np
 
 from ikjax.arm.arm import Arm
 from ikjax.arm.axes_to_dh import Axes, rewritten
-from ikjax.arm.recognition import recognize
 from ikjax.arm.robots.catalogue import robot
 from ikjax.arm.urdf.reader import rotation_of
+from ikjax.core.tolerances import FACT
 
 DEG = np.pi / 180
 QUARTER = np.pi / 2
@@ -30,7 +30,7 @@ def _placed(name: str, joints, tool, limits) -> Arm:
         along.append(frame[:3, :3] @ axis)
         points.append(frame[:3, 3])
     axes = Axes("R" * len(joints), np.array(along), np.array(points), frame @ _pose(*tool))
-    table = rewritten(axes, recognize.TOLERANCE)
+    table = rewritten(axes, FACT)
     a, alpha, d, theta = (table.columns[key] for key in ("a", "alpha", "d", "theta"))
     return Arm.from_dh(
         a=a,

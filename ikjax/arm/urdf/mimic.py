@@ -8,9 +8,7 @@ A parallelogram, which keeps the tool level, is the usual case: there the sum is
 import numpy as np
 
 from ikjax.arm.axes_to_dh import Axes
-
-PARALLEL = 1e-6
-"""[rad] Axes that are parallel to so much add up; the links are placed as if they were exactly."""
+from ikjax.core.tolerances import MIMIC_PARALLEL
 
 Joint = tuple[np.ndarray, np.ndarray]
 """A point of its axis, and its row."""
@@ -51,7 +49,7 @@ def _runs(given: Axes) -> list[tuple[int, int]]:
     for i, kind in enumerate(given.kinds):
         start = runs[-1][0] if runs else -1
         same = runs and given.kinds[start] == kind
-        if same and np.linalg.norm(np.cross(given.along[start], given.along[i])) <= PARALLEL:
+        if same and np.linalg.norm(np.cross(given.along[start], given.along[i])) <= MIMIC_PARALLEL:
             runs[-1] = start, i + 1
         else:
             runs.append((i, i + 1))

@@ -15,10 +15,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ikjax.arm.axes_to_dh import Axes
-from ikjax.arm.dh import MAX_LENGTH
 from ikjax.arm.urdf.gripper import Moved, gripper
 from ikjax.arm.urdf.mimic import one_joint_a_motor
 from ikjax.arm.urdf.xml import ArmFileError, Element, is_xacro, listing, load, parse, quote, show
+from ikjax.core.tolerances import LONGEST_LENGTH
 from ikjax.core.warn import warn
 
 MAX_JOINTS = 32
@@ -322,8 +322,8 @@ def _origin(joint: _Joint) -> np.ndarray:
     if element is not None:
         pose[:3, 3] = _numbers(element, "xyz", "0 0 0")
         pose[:3, :3] = rotation_of(*_numbers(element, "rpy", "0 0 0"))
-        if np.abs(pose[:3, 3]).max() > MAX_LENGTH:
-            raise element.error(f"xyz of <origin> must be at most {MAX_LENGTH:g} m")
+        if np.abs(pose[:3, 3]).max() > LONGEST_LENGTH:
+            raise element.error(f"xyz of <origin> must be at most {LONGEST_LENGTH:g} m")
     return pose
 
 

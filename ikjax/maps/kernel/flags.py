@@ -13,7 +13,8 @@ import jax.numpy as jnp
 
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import links, reach, whole_turns
-from ikjax.solvers.pipeline import TOLERANCE, Slot
+from ikjax.core.tolerances import DOUBTFUL_FOLD, DOUBTFUL_LIMIT, DOUBTFUL_MISSES, VALID
+from ikjax.solvers.pipeline import Slot
 
 
 def within(arm: Arm, slot: Slot, slack: float | None = None) -> jax.Array:
@@ -91,16 +92,6 @@ def _by_value(arm: Arm, slot: Slot, slack: float) -> jax.Array:
     return inside
 
 
-FOLD = 64
-"""Tolerances from the fold [reach], within which a slot is doubtful."""
-
-MISSES = 1 / 16, 8.0
-"""Pose errors, in tolerances, between which a slot is doubtful."""
-
-LIMIT = 1e-3
-"""Distance from a joint's limit within which a slot is doubtful [rad, m]: rounding times a thousand or more,
-as much as a joint near a singularity makes of it."""
-
 FREEDOMS = {"pose": 6, "position": 3, "planar_pose": 3, "planar_position": 2}
 """Numbers that a task asks for. An arm of fewer joints meets them on a surface, never for sure off a grid."""
 
@@ -112,13 +103,13 @@ def doubtful(arm: Arm, slot: Slot) -> jax.Array:
         arm: A baked arm.
         slot: One of its slots.
     """
-    least, most = MISSES
+    least, most = DOUBTFUL_MISSES
     close = slot.miss_squared <= most * most
-    fold = slot.margin <= FOLD * TOLERANCE[slot.margin.dtype.name] * reach(arm)
+    fold = slot.margin <= DOUBTFUL_FOLD * VALID[slot.margin.dtype.name] * reach(arm)
     unsure = fold | (slot.miss_squared >= least * least) | slot.continuum
     if FREEDOMS[arm.task] > arm.n:
         return close
-    at_limit = within(arm, slot, LIMIT) != within(arm, slot, -LIMIT)
+    at_limit = within(arm, slot, DOUBTFUL_LIMIT) != within(arm, slot, -DOUBTFUL_LIMIT)
     return close & (unsure | at_limit)
 
 

@@ -20,6 +20,7 @@ import jax.numpy as jnp
 from ikjax.arm.forward import Link
 from ikjax.core import safe
 from ikjax.core.pose import Pose
+from ikjax.core.tolerances import SHORT_HAND
 from ikjax.core.trig import Scalar, SinCos
 from ikjax.core.vector import plus, times
 from ikjax.core.xla import pin
@@ -30,9 +31,6 @@ from ikjax.solvers.steps.triangle import Triangle, triangle
 
 HELD = (1, 3)
 """Joints that may be held."""
-
-SHORT = 1e-3
-"""The least that counts as a hand's length; a shorter one turns about the point itself."""
 
 
 def branches(
@@ -84,10 +82,10 @@ def _polar(x: Scalar, y: Scalar) -> tuple[Scalar, SinCos]:
     """Length and direction of a link in the plane."""
     size = safe.sqrt(plus(times(x, x), times(y, y)))
     if isinstance(size, float):
-        return max(size, SHORT), (y / size, x / size) if size > SHORT else (0.0, 1.0)
-    known = size > SHORT
+        return max(size, SHORT_HAND), (y / size, x / size) if size > SHORT_HAND else (0.0, 1.0)
+    known = size > SHORT_HAND
     sine, cosine = jnp.where(known, safe.divide(y, size), 0), jnp.where(known, safe.divide(x, size), 1)
-    return jnp.maximum(size, SHORT), (sine, cosine)
+    return jnp.maximum(size, SHORT_HAND), (sine, cosine)
 
 
 def _more(one: SinCos, other: SinCos) -> SinCos:
