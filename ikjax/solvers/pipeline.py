@@ -32,7 +32,7 @@ from ikjax.core import pose as poses
 from ikjax.core import safe, vector
 from ikjax.core.known import is_traced
 from ikjax.core.pose import Pose
-from ikjax.core.tolerances import TINY, VALID
+from ikjax.core.tolerances import TINY, UNSEEN, VALID
 from ikjax.core.trig import Angle, Scalar, atan2, canonical, sincos, wrap
 from ikjax.core.xla import pin
 from ikjax.solvers.context import Branch, Joints, Setting, Slide, placed
