@@ -47,7 +47,7 @@ class Study(NamedTuple):
         return (EVALUATIONS - FINISH) // COST * self.batch // self.starts
 
     @property
-    def optimiser(self):
+    def optimizer(self):
         return _adam(self.steps)
 
 
@@ -85,12 +85,12 @@ def puma() -> Study:
     rng = np.random.default_rng(1)
     goals = np.tile(np.eye(4), (512, 16, 1, 1))
     goals[:, :, :3, 3] = rng.uniform(-1, 1, (512, 3))[:, None]
-    goals[:, :, :3, :3] = ikjax.even_rotations(16)
+    goals[:, :, :3, :3] = ikjax.maps.even_rotations(16)
     vary = {"a1": (-0.02, 0.3), "a2": (0.1, 0.7), "a3": (0.005, 0.2), "d3": (0.005, 0.3), "d4": (0.1, 0.7)}
     arm = ikjax.robots.puma560()
     goals = jnp.asarray(goals, jnp.float32)
     tie = ("a1 + a2 + a3 + d3 + d4 = 1",)
-    dexterity = ikjax.objectives.dexterity
+    dexterity = ikjax.objectives.dexterous_share
     return Study("b, PUMA dexterity", arm, goals, vary, dexterity, tie, limits=True, blur=(0.1, 0.01), **MANY)
 
 
@@ -127,9 +127,9 @@ def by_gradient(study: Study, seed: int):
         ties=study.ties,
         starts=study.starts,
         steps=study.steps,
-        optimiser=study.optimiser,
+        optimizer=study.optimizer,
         batch=len(study.goals) // study.batch,
-        finish=FINISH,
+        local_search=FINISH,
         blur=study.blur,
         limits=study.limits,
         seed=seed,
@@ -177,7 +177,7 @@ def plan_of(study: Study):
     arm = study.arm.astype(study.goals.dtype)
     parameters = chosen(arm, study.vary, study.ties)
     known = ascent.Known(arm)
-    return ascent.Plan(known, parameters, study.objective, (), study.optimiser, study.limits, None, 1)
+    return ascent.Plan(known, parameters, study.objective, (), study.optimizer, study.limits, None, 1)
 
 
 def slope_error(study: Study, values: np.ndarray) -> float:
@@ -195,11 +195,11 @@ def slope_error(study: Study, values: np.ndarray) -> float:
 
 def confirmed(study: Study, found) -> str:
     """The arms judged anew: by a sweep over other goals, or over the same in float64."""
-    if study.objective is ikjax.objectives.dexterity:
+    if study.objective is ikjax.objectives.dexterous_share:
         volumes = []
         for arm in (found.start, found.arm):
             arm = arm.astype(np.float64)
-            reach = ikjax.sweep(arm, ikjax.grid((-1, -1, -1), (1, 1, 1), 0.08), 128, dtype="float32")
+            reach = ikjax.sweep(arm, ikjax.maps.grid((-1, -1, -1), (1, 1, 1), 0.08), 128, dtype="float32")
             volumes.append((reach.reachable_within >= 64).mean())
         return "share of a grid of 15,625 positions with half of 128 orientations by `sweep`: " + (
             f"{volumes[0]:.4f} given, {volumes[1]:.4f} found"

@@ -87,7 +87,7 @@ def programs(name: str, varied: str, dtype: str) -> dict[str, Callable[[], str]]
         "gradient of solve": in_jit(jax.grad(lambda T: ikjax.solve(arm, T).q.sum())),
         "gradient of project": in_jit(jax.grad(lambda T: ikjax.project(arm, T).q.sum())),
         "sweep step": lambda: first_compiled(
-            lambda: ikjax.sweep(arm, ikjax.around(arm, 0.3), 64, dtype=dtype)
+            lambda: ikjax.sweep(arm, ikjax.maps.around(arm, 0.3), 64, dtype=dtype)
         ),
         "design step": lambda: design_step(arm, goals, varied),
     }
@@ -112,7 +112,7 @@ def further(name: str) -> dict[str, Callable[[], str]]:
     }
     if not arm.task.startswith("planar"):
         names = ["mean_manipulability", "best_sigma_min", "reachable_within"]
-        positions = ikjax.around(arm, 0.3)
+        positions = ikjax.maps.around(arm, 0.3)
         found["sweep step"] = lambda: first_compiled(
             lambda: ikjax.sweep(arm, positions, 64, dtype="float32", statistics=names)
         )

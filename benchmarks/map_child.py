@@ -34,8 +34,8 @@ PARTS = {
 def grid_of(arm: ikjax.Arm, goals: float, orientations: int = ORIENTATIONS):
     """A cubic grid about the arm, with its orientations of about so many goals."""
     steps = max(1, round(((goals / orientations) ** (1 / 3) - 1) / 2))
-    radius = -ikjax.around(arm, 1e-4).origin[0] + float(arm.base[0, 3])
-    return ikjax.around(arm, radius / (steps - 0.5))
+    radius = -ikjax.maps.around(arm, 1e-4).origin[0] + float(arm.base[0, 3])
+    return ikjax.maps.around(arm, radius / (steps - 0.5))
 
 
 def warm(**sweep) -> None:

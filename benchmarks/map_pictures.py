@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ikjax.plot.style import COLOURS, DIVERGING, MAP, STYLE, finish, pyplot
+from ikjax.plot.style import COLORS, DIVERGING, MAP, STYLE, finish, pyplot
 
 
 def growth(grown: list[dict], path: Path) -> None:
@@ -16,12 +16,12 @@ def growth(grown: list[dict], path: Path) -> None:
         whole, swept = [told["wall"] for told in grown], [told["sweeps"][0]["seconds"] for told in grown]
         slope = swept[-1] / goals[-1]
         left.plot(goals, [slope * n for n in goals], color="#999999", lw=1, ls=(0, (5, 4)), zorder=1)
-        left.loglog(goals, whole, "o-", color=COLOURS[0], label="whole process, compile and all")
-        left.loglog(goals, swept, "s-", color=COLOURS[1], label="the sweep")
+        left.loglog(goals, whole, "o-", color=COLORS[0], label="whole process, compile and all")
+        left.loglog(goals, swept, "s-", color=COLORS[1], label="the sweep")
         left.set(xlabel="goals", ylabel="seconds", title="Time; dashed: proportional to goals")
         peak, disk = ([told[key] / 1e6 for told in grown] for key in ("peak", "disk"))
-        right.loglog(goals, peak, "o-", color=COLOURS[0], label="greatest memory of the process")
-        right.loglog(goals, disk, "s-", color=COLOURS[1], label="the map on disk")
+        right.loglog(goals, peak, "o-", color=COLORS[0], label="greatest memory of the process")
+        right.loglog(goals, disk, "s-", color=COLORS[1], label="the map on disk")
         right.axhline(1000, color="#999999", lw=1, ls=(0, (5, 4)))
         right.set(xlabel="goals", ylabel="MB", title="Memory; dashed: one gigabyte")
         for ax in (left, right):
@@ -74,7 +74,7 @@ def sampled(ours, shown: list, path: Path) -> None:
 def _errors(ax, shown: list) -> None:
     for k, name in enumerate(("cells missed", "cells more", "positions more")):
         values = [100 * errors[name] for *_, errors in shown]
-        ax.loglog([n for n, *_ in shown], np.maximum(values, 1e-3), "o-", ms=4, color=COLOURS[k], label=name)
+        ax.loglog([n for n, *_ in shown], np.maximum(values, 1e-3), "o-", ms=4, color=COLORS[k], label=name)
     ax.set(xlabel="samples", ylabel="% of what is reached", ylim=(1e-3, 300))
     ax.legend(frameon=False, fontsize=7)
     ax.grid(True)

@@ -13,7 +13,7 @@ import report
 import ikjax
 
 RUNS = 5
-NEAR = ikjax.Near(position=0.001, rotation=0.2)
+NEAR = ikjax.maps.Near(position=0.001, rotation=0.2)
 GOALS = {
     "puma560": 3e8,
     "ur5": 6e7,

@@ -44,7 +44,7 @@ def _eaik(arm, quick: bool) -> str:
         robot = rivals.eaik_robot(arm)
     except rivals.AbsentError as absent:
         return f"EAIK: absent: {absent}"
-    turns, points = ikjax.even_rotations(EAIK_ORIENTATIONS), grid.points().reshape(-1, 3)
+    turns, points = ikjax.maps.even_rotations(EAIK_ORIENTATIONS), grid.points().reshape(-1, 3)
     counts, solving, started = np.zeros(grid.count, np.int32), 0.0, time.perf_counter()
     step = EAIK_BATCH // EAIK_ORIENTATIONS
     for first in range(0, grid.count, step):
@@ -88,7 +88,7 @@ def _reached(arm, found: list) -> np.ndarray:
 
 def _sampled(arm, given) -> str:
     """A map of sampled joints beside ours, cell by cell, as samples are added."""
-    orientations = ikjax.hopf(LEVEL)
+    orientations = ikjax.maps.hopf(LEVEL)
     cells, samples = (CELLS_QUICK, SAMPLES_QUICK) if given.quick else (CELLS, SAMPLES)
     grid = map_child.grid_of(arm, cells, orientations.count)
     ours, own = swept(arm, grid, orientations, (WITHIN,))

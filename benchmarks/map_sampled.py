@@ -21,7 +21,6 @@ import numpy as np
 from ikjax.core import vector
 from ikjax.core.trig import atan2, sincos
 from ikjax.ik.batched import wide_vectors
-from ikjax.maps.sets.orientations import rotations_of
 
 BATCH = 500_000
 
@@ -46,7 +45,7 @@ class Sampler:
             for i in range(3)
             for j in range(3)
         ]
-        turns = np.moveaxis(rotations_of(self.orientations).astype(np.float32), 0, -1)
+        turns = np.moveaxis(self.orientations.rotations.astype(np.float32), 0, -1)
         points = np.moveaxis(self.grid.points().reshape(-1, 3).astype(np.float32), 0, -1)
         first = self.cell(tuple(map(tuple, turns)), tuple(np.float32(x) for x in self.grid.origin))
         last = self.cell(tuple(map(tuple, turns[..., -1])), tuple(points))
@@ -154,7 +153,7 @@ def orientation(hopf, rotation) -> jax.Array:
     chosen = pixel(hopf.side, *(row[2] for row in rotation))
     # The first two columns of what turns z to the middle of the pixel: looked up, as whole numbers are
     # divided one by one.
-    tilts = rotations_of(hopf).reshape(-1, hopf.turns, 3, 3)[:, 0, :, :2].astype(np.float32)
+    tilts = hopf.rotations.reshape(-1, hopf.turns, 3, 3)[:, 0, :, :2].astype(np.float32)
     one, two = ([jnp.asarray(tilts[:, i, k])[chosen] for i in range(3)] for k in range(2))
     x, y, _ = zip(*rotation, strict=True)
     s, c = vector.dot(two, x) - vector.dot(one, y), vector.dot(one, x) + vector.dot(two, y)

@@ -76,7 +76,7 @@ def clearance(arm: ikjax.Arm, reach: ikjax.ReachMap, cells: np.ndarray) -> np.nd
     """
     goals = np.broadcast_to(np.eye(4), (len(cells), 4, 4)).copy()
     goals[:, :3, :3] = reach.rotations[cells[:, 3]]
-    goals[:, :3, 3] = reach.grid.points()[tuple(cells[:, :3].T)]
+    goals[:, :3, 3] = reach.positions.points()[tuple(cells[:, :3].T)]
     sol = ikjax.solve(arm, goals)
     size = float(ikjax.solvers.pipeline.reach(arm))
     folds = np.abs(np.asarray(sol.margin)) / size

@@ -135,9 +135,9 @@ def has_sweep() -> bool:
 def sweep(arm: ikjax.Arm, dtype: str, goals: int, runs: int) -> tuple[Measured, int]:
     """(f) `ikjax.sweep` over about so many goals; how many there were stands beside the row."""
     coarse = check.reach(arm) / 10
-    count = ikjax.around(arm, coarse).count
+    count = ikjax.maps.around(arm, coarse).count
     spacing = coarse * (count * ORIENTATIONS / goals) ** (1 / 3)
-    grid = ikjax.around(arm, spacing)
+    grid = ikjax.maps.around(arm, spacing)
 
     def call():
         return ikjax.sweep(arm, grid, ORIENTATIONS, dtype=dtype, progress=False)
@@ -154,11 +154,11 @@ def _again(arm: ikjax.Arm, found, dtype: str) -> tuple[int, check.Tally]:
     rng = np.random.default_rng(2)
     # Half of them where the map says that it reaches, half anywhere.
     reached = np.flatnonzero(np.asarray(found.reachable).reshape(-1))
-    chosen = [rng.choice(among, SAMPLE // 2) for among in (reached, found.grid.count)]
+    chosen = [rng.choice(among, SAMPLE // 2) for among in (reached, found.positions.count)]
     chosen = np.concatenate(chosen)
-    goals = np.broadcast_to(np.eye(4), (len(chosen), found.orientations, 4, 4)).copy()
+    goals = np.broadcast_to(np.eye(4), (len(chosen), found.orientation_count, 4, 4)).copy()
     goals[..., :3, :3] = found.rotations
-    goals[..., :3, 3] = found.grid.points().reshape(-1, 3)[chosen][:, None]
+    goals[..., :3, 3] = found.positions.points().reshape(-1, 3)[chosen][:, None]
     goals = goals.astype(dtype)
     sol = ikjax.solve(arm.astype(dtype), jnp.asarray(goals))
     valid = np.asarray(sol.valid)

@@ -19,7 +19,7 @@ import ikjax
 from ikjax import plot
 
 arm = ikjax.robots.puma560().astype(np.float32)
-grid = ikjax.around(arm, spacing=0.1)
+grid = ikjax.maps.around(arm, spacing=0.1)
 print(f"{grid.in_words()} x 96 orientations = {grid.count * 96:,} goals")
 
 # %% [markdown]
@@ -54,7 +54,7 @@ def plug(unit_done):
         os.kill(os.getpid(), signal.SIGKILL)
 
 arm = ikjax.robots.puma560().astype(np.float32)
-ikjax.sweep(arm, ikjax.around(arm, spacing=0.1), 96, chunk=(8, 8, 8), out={str(out)!r}, stop=plug)
+ikjax.sweep(arm, ikjax.maps.around(arm, spacing=0.1), 96, chunk=(8, 8, 8), out={str(out)!r}, stop=plug)
 """
 root = str(pathlib.Path(ikjax.__file__).parent.parent)
 child = subprocess.run([sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": root})
@@ -100,7 +100,7 @@ print(mended.units)
 # %% [markdown]
 # ## Look at it
 #
-# In slices, coloured by the share of orientations that are reached within the joint limits. Grey is reached
+# In slices, colored by the share of orientations that are reached within the joint limits. Grey is reached
 # beyond the limits alone.
 
 # %%

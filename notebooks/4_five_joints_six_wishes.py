@@ -33,7 +33,7 @@ wished = np.broadcast_to(home, (4, 4, 4)).copy()
 for k, turn in enumerate(turns):
     c, s = np.cos(turn), np.sin(turn)
     wished[k, :3, :3] = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ home[:3, :3]
-near = ikjax.project(arm, wished, length=0.05)
+near = ikjax.project(arm, wished, characteristic_length=0.05)
 attained = np.asarray(ikjax.fk(arm, near.q))
 for turn, gap, angle, norm in zip(
     turns, near.position_error, near.rotation_error, near.gradient_norm, strict=True
@@ -45,14 +45,14 @@ figure = plt.figure(figsize=(13, 3.8), layout="constrained")
 
 
 def triad(ax, pose, size, **style):
-    for column, colour in zip(pose[:3, :3].T, ("tab:red", "tab:green", "tab:blue"), strict=True):
+    for column, color in zip(pose[:3, :3].T, ("tab:red", "tab:green", "tab:blue"), strict=True):
         line = np.stack([pose[:3, 3], pose[:3, 3] + size * column])
-        ax.plot(*line.T, color=colour, **style)
+        ax.plot(*line.T, color=color, **style)
 
 
 for k in range(4):
     ax = figure.add_subplot(1, 4, k + 1, projection="3d")
-    plot.arm(arm, near.q[k], ax, colour="0.5")
+    plot.arm(arm, near.q[k], ax, color="0.5")
     triad(ax, wished[k], 0.12, lw=3, alpha=0.5)
     triad(ax, attained[k], 0.12, lw=1.2)
     ax.set_aspect("equal")
@@ -101,9 +101,9 @@ wild = np.array(ikjax.fk(arm, rng.uniform(low, high, (50, 5))))
 wild[:, :3, 3] += 0.05 * rng.normal(size=(50, 3))
 spin = ikjax.pose(xyz=np.zeros((50, 3)), rpy=rng.normal(0, 0.4, (50, 3)))
 wild[:, :3, :3] = np.asarray(spin)[:, :3, :3] @ wild[:, :3, :3]
-ours = jax.block_until_ready(ikjax.project(arm, wild, length=0.05))
+ours = jax.block_until_ready(ikjax.project(arm, wild, characteristic_length=0.05))
 started = time.perf_counter()
-jax.block_until_ready(ikjax.project(arm, wild, length=0.05).cost)
+jax.block_until_ready(ikjax.project(arm, wild, characteristic_length=0.05).cost)
 seconds = time.perf_counter() - started
 
 
@@ -145,7 +145,7 @@ angle = np.linspace(0, 2 * np.pi, 120)
 start = np.array([0, 0, 0, 0.8, 0])
 path = np.broadcast_to(np.asarray(ikjax.fk(arm, start)), (120, 4, 4)).copy()
 path[:, :3, 3] += 0.04 * np.stack([np.cos(angle) - 1, np.sin(angle), 0 * angle], -1)
-drawn = ikjax.track(arm, path, start, length=0.005)
+drawn = ikjax.track(arm, path, start, characteristic_length=0.005)
 print(f"{int(drawn.jumped.sum())} leaps; off by {1000 * float(drawn.position_error.max()):.2f} mm at most,")
 print(f"and turned by up to {np.rad2deg(float(drawn.rotation_error.max())):.1f} degrees")
 pen = np.asarray(ikjax.fk(arm, drawn.q))[:, :3, 3]

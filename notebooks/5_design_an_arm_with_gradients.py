@@ -59,7 +59,7 @@ print(lengths.report())
 show({"as given": arm, "designed": lengths.arm})
 
 # %% [markdown]
-# Equal links: then the hole in the middle closes, and 1.3 m is as far from the outer rim as the centre is
+# Equal links: then the hole in the middle closes, and 1.3 m is as far from the outer rim as the center is
 # from the inner one. Every start finds it:
 
 # %%
@@ -108,7 +108,7 @@ plt.show()
 def dexterous(points, seed):
     goals = np.tile(np.eye(4), (points, 16, 1, 1))
     goals[:, :, :3, 3] = np.random.default_rng(seed).uniform(-1, 1, (points, 3))[:, None]
-    goals[:, :, :3, :3] = ikjax.even_rotations(16)
+    goals[:, :, :3, :3] = ikjax.maps.even_rotations(16)
     return jnp.asarray(goals, jnp.float32)
 
 
@@ -118,7 +118,7 @@ metre = ikjax.design(
     puma,
     dexterous(256, 1),
     vary,
-    "dexterity",
+    "dexterous_share",
     ties=["a1 + a2 + a3 + d3 + d4 = 1"],
     steps=60,
     starts=4,
@@ -132,7 +132,7 @@ print(metre.report(most=3))
 # orientation of 64.
 
 # %%
-box = ikjax.grid((-1, -1, -1), (1, 1, 1), 0.1)
+box = ikjax.maps.grid((-1, -1, -1), (1, 1, 1), 0.1)
 before, after = (ikjax.sweep(each, box, 64) for each in (puma, metre.arm))
 half = [float((each.reachable_within >= 32).mean()) for each in (before, after)]
 print(f"half of all orientations: {half[0]:.1%} of the box before, {half[1]:.1%} after")

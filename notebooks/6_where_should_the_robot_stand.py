@@ -104,15 +104,15 @@ ax.set(xlim=(-0.3, 2.3), ylim=(-1.2, 0.6), zlim=(0, 1.0), xlabel="x [m]", ylabel
 ax.set_box_aspect((2.6, 1.8, 1.0), zoom=1.1)
 share = reached.mean(-1)
 whole = np.flatnonzero(share == 1)
-for point, colour in ((whole[0], "#0072b2"), (whole[-1], "#cc79a7")):
-    plot.arm(best, q[point, 0], ax, colour=colour)
-for where, colour, label in [
+for point, color in ((whole[0], "#0072b2"), (whole[-1], "#cc79a7")):
+    plot.arm(best, q[point, 0], ax, color=color)
+for where, color, label in [
     (share == 1, "#009e73", "reached from all four sides"),
     ((share > 0) & (share < 1), "#e69f00", "from some"),
     (share == 0, "#d55e00", "from none"),
 ]:
     if where.any():
-        ax.scatter(*xyz[where].T, color=colour, s=14, label=label)
+        ax.scatter(*xyz[where].T, color=color, s=14, label=label)
 ax.legend(loc="upper left")
 plt.show()
 
@@ -123,9 +123,9 @@ plt.show()
 # The candidates are then as good as the map; what is returned is judged by `solve` all the same.
 
 # %%
-around = ikjax.around(arm, spacing=0.08)
-reach = ikjax.sweep(arm, around, ikjax.hopf(1), statistics=("reachable_within", "mask_within"))
-looked = ikjax.place(arm, goals, reach=reach, bounds=floor, spacing=0.1, keep=4)
+around = ikjax.maps.around(arm, spacing=0.08)
+reach = ikjax.sweep(arm, around, ikjax.maps.hopf(1), statistics=("reachable_within", "mask_within"))
+looked = ikjax.place(arm, goals, reach_map=reach, bounds=floor, spacing=0.1, keep=4)
 print(looked)
 gap = np.abs(looked.tried - bases.tried)
 print(f"map against solving: {gap.mean():.1%} of goals apart in the mean, {gap.max():.1%} at most")

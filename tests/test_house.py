@@ -2,6 +2,8 @@
 
 import ast
 import pathlib
+import subprocess
+import sys
 
 import ikjax
 from ikjax.arm.recognition import recognize
@@ -49,11 +51,24 @@ def test_only_the_front_door_stands_outside_a_folder():
 
 
 def test_the_front_door_is_sorted_and_has_no_logic():
-    _, *lines, version = tree(HOUSE / "__init__.py").body
+    _, *lines, checking, version, lazy = tree(HOUSE / "__init__.py").body
+    assert isinstance(checking, ast.If) and isinstance(lazy, ast.FunctionDef) and lazy.name == "__getattr__"
     assert isinstance(version, ast.Assign) and version.targets[0].id == "__version__"
     assert all(isinstance(line, ast.ImportFrom) for line in lines)
-    assert [line.module for line in lines] == sorted(line.module for line in lines)
-    assert not {name.split(".")[1] for name in imports(HOUSE / "__init__.py")} & {"plot", "cli"}
+    assert [line.module for line in lines[2:]] == sorted(line.module for line in lines[2:])
+
+
+def test_pictures_are_reachable_and_imported_when_they_are_first_used():
+    code = (
+        "import sys, ikjax; assert not {'ikjax.plot', 'matplotlib', 'tensorstore'} & set(sys.modules); "
+        "assert ikjax.maps.grid and ikjax.plot.reach_map; assert 'matplotlib' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_every_folder_says_what_lives_in_it():
+    for path in HOUSE.rglob("__init__.py"):
+        assert ast.get_docstring(tree(path)), path
 
 
 def test_recognition_and_kernels_list_the_same_families_in_one_order():

@@ -45,7 +45,10 @@ def test_solutions_within_limits_and_the_nearest_of_them():
 
 def test_distances_to_limits_and_margins():
     both(
-        lambda arm, _: (ikjax.limit_distance(arm, Q), ikjax.limit_distance(arm, Q + 3 * TURN * (SHIFT != 0)))
+        lambda arm, _: (
+            ikjax.limit_clearance(arm, Q),
+            ikjax.limit_clearance(arm, Q + 3 * TURN * (SHIFT != 0)),
+        )
     )
     both(lambda arm, _: ikjax.limited_margins(arm, ikjax.solve(arm, GOALS)).margin)
     both(lambda arm, _: ikjax.best_margin(arm, ikjax.solve(arm, GOALS), blur=0.01))
@@ -53,8 +56,8 @@ def test_distances_to_limits_and_margins():
 
 def test_maps_and_proofs():
     def swept(arm, _):
-        names = ("reachable_within", "solutions_within", "best_margin_within", "best_limit_distance")
-        grid = ikjax.grid((-0.3, -0.3, 0), (0.3, 0.3, 0.1), 0.1)
+        names = ("reachable_within", "solutions_within", "best_margin_within", "best_limit_share")
+        grid = ikjax.maps.grid((-0.3, -0.3, 0), (0.3, 0.3, 0.1), 0.1)
         return ikjax.sweep(arm, grid, np.array([np.diag([1.0, -1, -1]), np.eye(3)]), statistics=names).arrays
 
     assert both(swept, 1e-6)["solutions_within"].sum() > 0
@@ -63,7 +66,7 @@ def test_maps_and_proofs():
         dataclasses.replace(arm, limits=np.array([(arm.limits[0, 0], np.inf), *arm.limits[1:]]))
         for arm in (ARM, FURTHER)
     ]
-    one, other = (swept(arm, 0)["best_limit_distance"] for arm in open_ended)
+    one, other = (swept(arm, 0)["best_limit_share"] for arm in open_ended)
     np.testing.assert_allclose(other, one, atol=1e-6)
     both(lambda arm, _: list(ikjax.verify(arm, 200)[3:-1]))
 

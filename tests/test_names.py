@@ -15,8 +15,8 @@ from ikjax.cli import study_file
 from ikjax.maps import reach_map
 from ikjax.maps.sets.positions import Grid
 from ikjax.maps.store import log
-from ikjax.synthesis.design import Designed
-from ikjax.synthesis.place import Bases
+from ikjax.synthesis.design import DesignResult
+from ikjax.synthesis.place import Placements
 
 NAME = (
     "</title><script>alert(1)</script><img src=q> ![x](/etc/hostname) [y](javascript:z) http://a.bc `|` {1+1}"
@@ -34,7 +34,7 @@ ARM = named(ikjax.robots.gx4_351s())
 
 @pytest.fixture(scope="module")
 def reach():
-    reach = ikjax.sweep(ikjax.robots.gx4_351s(), ikjax.around(ARM, 0.2), 1)
+    reach = ikjax.sweep(ikjax.robots.gx4_351s(), ikjax.maps.around(ARM, 0.2), 1)
     return dataclasses.replace(reach, arm=ARM)
 
 
@@ -47,11 +47,11 @@ def is_one_line_of(name: str, lines: str) -> None:
 def test_words_and_reprs_and_errors(reach):
     flags = np.zeros((1, 3), bool)
     zeros = np.zeros((1, 1, 1, 1))
-    bases = Bases(
+    bases = Placements(
         ARM, np.zeros((3, 4, 4)), np.eye(4)[None], *np.zeros((2, 1)), flags, np.zeros(1), np.eye(4)[None],
         *np.zeros((2, 1)), Grid((0, 0, 0), 1, (1, 1, 1)), np.zeros(1), zeros,
     )  # fmt: skip
-    designed = Designed(
+    designed = DesignResult(
         ARM, ARM, {}, 0.0, 0.0, flags, flags * 1.0, np.zeros(1), np.zeros((1, 0)), np.zeros((0, 1)), 0.0,
         np.zeros(0), np.zeros((1, 3, 4, 4)),
     )  # fmt: skip
@@ -104,7 +104,9 @@ def test_a_stored_map_comes_back_under_its_name_and_differences_are_lines(reach,
     assert all(line.isprintable() for line in manifest.differences({NAME: 1, "a": {NAME: 2}}, {"a": {}}))
 
 
-@pytest.mark.parametrize("change", [{"rolls": "1); evil("}, {"dtype": "evil"}, {"statistics": "../evil"}])
+@pytest.mark.parametrize(
+    "change", [{"free_rolls": "1); evil("}, {"dtype": "evil"}, {"statistics": "../evil"}]
+)
 def test_a_map_whose_spec_would_be_a_path_or_a_program_is_refused(reach, tmp_path, change):
     pytest.importorskip("tensorstore")
     from ikjax.maps.store import manifest
@@ -146,7 +148,7 @@ def test_pictures(reach):
     odd = dataclasses.replace(
         reach,
         arrays={**reach.arrays, "$a$": reach.arrays["best_margin"]},
-        told={**reach.told, "$a$": reach.told["best_margin"]},
+        statistic_specs={**reach.statistic_specs, "$a$": reach.statistic_specs["best_margin"]},
     )
     with pyplot.rc_context({"text.usetex": True}):
         for figure in (

@@ -19,10 +19,10 @@ ROOT = pathlib.Path(__file__).parent.parent
 BOX = {"lower": (0.2, -0.3, 0.0), "upper": (0.6, 0.3, 0.4), "spacing": 0.1}
 MAPS = {
     "float64": {"orientations": 12, "dtype": "float64"},
-    "a list": {"orientations": ikjax.even_rotations(12)[::2], "dtype": "float32", "rolls": 2},
-    "certified": {"orientations": ikjax.hopf(0), "dtype": "float32", "certify": True},
-    "mask": {"orientations": ikjax.cone((0, 0, -1), 0.5, 9), "statistics": ["mask", "best_sigma_min"]},
-    "near": {"orientations": 16, "statistics": ["reachable", ikjax.Near(0.01, 0.5, "nearly")]},
+    "a list": {"orientations": ikjax.maps.even_rotations(12).rotations[::2], "dtype": "float32", "rolls": 2},
+    "certified": {"orientations": ikjax.maps.hopf(0), "dtype": "float32", "certify": True},
+    "mask": {"orientations": ikjax.maps.cone((0, 0, -1), 0.5, 9), "statistics": ["mask", "best_sigma_min"]},
+    "near": {"orientations": 16, "statistics": ["reachable", ikjax.maps.Near(0.01, 0.5, "nearly")]},
 }
 
 
@@ -30,7 +30,7 @@ def swept(folder, name: str) -> pathlib.Path:
     """A stored map, whose name has a blank and a quote."""
     out = folder / f"{name}'s map.zarr"
     arm = ikjax.robots.motoman_l3() if name == "near" else ikjax.robots.puma560()
-    ikjax.sweep(arm, ikjax.grid(**BOX), out=out, **MAPS[name])
+    ikjax.sweep(arm, ikjax.maps.grid(**BOX), out=out, **MAPS[name])
     return out
 
 
@@ -88,11 +88,11 @@ def test_all_of_the_recipe_is_run_as_it_stands_on_the_page(tmp_path):
 
 
 def test_a_measure_of_ones_own_is_asked_for(tmp_path):
-    count = ikjax.Measure("most", lambda sol: sol.valid.sum(-1).astype("float32"), "max")
-    positions = ikjax.grid((0.4, 0, 0), (0.5, 0.1, 0.1), 0.1)
+    count = ikjax.maps.Measure("most", lambda sol: sol.valid.sum(-1).astype("float32"), "max")
+    positions = ikjax.maps.grid((0.4, 0, 0), (0.5, 0.1, 0.1), 0.1)
     reach = ikjax.sweep(ikjax.robots.gx4_351s(), positions, 4, statistics=["reachable", count])
     python, _ = parts(page.repeat(reach, "map.zarr"))
-    assert "most = ...  # the ikjax.Measure" in python and "statistics=['reachable', most]" in python
+    assert "most = ...  # the ikjax.maps.Measure" in python and "statistics=['reachable', most]" in python
 
 
 @pytest.mark.slow

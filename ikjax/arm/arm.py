@@ -55,7 +55,7 @@ class Arm:
     """(n, n) from motor values, which are what `q` holds, to joint values; None is the identity."""
     correction: Number | None = dataclasses.field(default=None, kw_only=True)
     """(n + 1, 6) what the arm as given is off by after the base and after each link: shift [m], rotation
-    vector [rad]. The table holds the arm as recognised; None is nothing."""
+    vector [rad]. The table holds the arm as recognized; None is nothing."""
 
     kinds: str = dataclasses.field(metadata={"static": True})
     """The joints from base to tool, "R" or "P" each."""
@@ -90,10 +90,10 @@ class Arm:
         family: str | None = None,
         coupling=None,
         correction=None,
-        tolerance: float | None = None,
+        axis_tolerance: float | None = None,
         dtype=None,
     ) -> "Arm":
-        """An arm from its DH table; the closed form is recognised here, once.
+        """An arm from its DH table; the closed form is recognized here, once.
 
         Args:
             a, alpha, d: (n,) link lengths [m], twists [rad], offsets [m]. In the modified
@@ -110,8 +110,8 @@ class Arm:
             coupling: (n, n) from motor values to joint values, where joints are driven together;
                 `q`, `limits` and `q_now` are motor values.
             correction: (n + 1, 6) what the arm is off by after the base and after each link.
-            tolerance: Axes that are parallel, square or meeting to so much [rad, and as a share of the
-                arm's size] are recognised as such, the rest is kept in `correction`: for calibrated
+            axis_tolerance: Axes that are parallel, square or meeting to so much [rad, and as a share of the
+                arm's size] are recognized as such, the rest is kept in `correction`: for calibrated
                 tables. None takes the table at its word.
             dtype: Of the leaves; by default JAX's own (float64 when x64 is on).
 
@@ -129,18 +129,18 @@ class Arm:
         columns, base, up = dh.to_standard(convention, columns, base)
         leaves = {**columns, "base": base, "tool": tool, "limits": limits, "coupling": coupling}
         leaves["correction"] = dh.check_correction(correction, n)
-        if tolerance is None and correction is None and _spread_out(kinds, columns):
+        if axis_tolerance is None and correction is None and _spread_out(kinds, columns):
             return _nearest(_axes_of(kinds, columns, tool), leaves, 0.0, family, up, name, dtype)
-        if tolerance is None:
+        if axis_tolerance is None:
             arm = _built(kinds, leaves, family, up, name, dtype)
             if family is None:
                 _warn_of_rounded_twists(arm, leaves, up)
             return arm
         if correction is not None:
-            raise ValueError("correction is what tolerance= finds: give one or the other")
+            raise ValueError("correction is what axis_tolerance= finds: give one or the other")
         if is_traced(leaves):
-            raise ValueError("tolerance= needs concrete numbers: build the arm outside jit")
-        return _nearest(_axes_of(kinds, columns, tool), leaves, tolerance, family, up, name, dtype)
+            raise ValueError("axis_tolerance= needs concrete numbers: build the arm outside jit")
+        return _nearest(_axes_of(kinds, columns, tool), leaves, axis_tolerance, family, up, name, dtype)
 
     @staticmethod
     def from_urdf(
@@ -148,7 +148,7 @@ class Arm:
         base: str | None = None,
         tip: str | None = None,
         *,
-        tolerance: float | None = None,
+        axis_tolerance: float | None = None,
         coupling=None,
         name: str | None = None,
         family: str | None = None,
@@ -157,14 +157,14 @@ class Arm:
         """An arm from the joints between two links of a URDF file; needs the extra `urdf`.
 
         Files hold rounded numbers. Axes that are parallel, square or meeting to the tolerance are
-        recognised as such; what they are off by is kept in `correction`, and `solve` answers for the
-        arm as the file has it. Joints that mimic others become `coupling`, where parallel neighbours
+        recognized as such; what they are off by is kept in `correction`, and `solve` answers for the
+        arm as the file has it. Joints that mimic others become `coupling`, where parallel neighbors
         combine to one joint a motor: `q` then holds the values of the joints that lead.
 
         Args:
             source: A path, or the XML itself. Meshes are never opened and nothing is fetched.
             base, tip: Names of links; by default the root, and the one leaf.
-            tolerance: How far axes may be off [rad], and as a share of the arm's size; at most 0.02. By
+            axis_tolerance: How far axes may be off [rad], and as a share of the arm's size; at most 0.02. By
                 default the least of 1e-5, 1e-4 and 1e-3 that gives the arm a family.
             coupling, name, family, dtype: As in `from_dh`.
 
@@ -185,7 +185,7 @@ class Arm:
         limits = dh.check_limits(ranges, given.kinds)
         leaves = {"limits": limits, "coupling": coupling, "base": np.eye(4)}
         up = -1 if given.along[0][2] < -1e-9 else 1
-        return _nearest(given, leaves, tolerance, family, up, name or chain.name, dtype)
+        return _nearest(given, leaves, axis_tolerance, family, up, name or chain.name, dtype)
 
     @property
     def n(self) -> int:
@@ -202,7 +202,7 @@ class Arm:
         """Whether the slots hold every solution.
 
         Not without a family, nor where the arm is off its family by more than 3e-4 [rad, or share of its
-        lengths]: beside a fold the arm as given may then reach a pose that the arm as recognised does not. Of
+        lengths]: beside a fold the arm as given may then reach a pose that the arm as recognized does not. Of
         2,000 goals of an arm that is off by 1e-3, 2 to 7 missed a solution, and none at 1e-4.
         """
         if self.family is None or is_traced(self.correction):
@@ -303,11 +303,11 @@ class Arm:
 def _built(
     kinds: str, leaves: dict, family: str | None, up: int, name: str, dtype, closed_form: bool = True
 ) -> Arm:
-    """The arm of finished leaves, its family recognised where it may have one."""
-    verdict = recognize.recognise(kinds, leaves, family, up) if closed_form else recognize.NONE
+    """The arm of finished leaves, its family recognized where it may have one."""
+    verdict = recognize.recognize(kinds, leaves, family, up) if closed_form else recognize.NONE
     split = recognize.split_exactly(kinds, leaves, verdict)
     if split is not leaves:
-        leaves, verdict = split, recognize.recognise(kinds, split, family, up)
+        leaves, verdict = split, recognize.recognize(kinds, split, family, up)
     dtype = jnp.result_type(float) if dtype is None else dtype
     arrays: dict[str, Any] = {
         key: None if value is None else jnp.asarray(value, dtype) for key, value in leaves.items()
@@ -338,28 +338,33 @@ def _spread_out(kinds: str, columns: dict) -> bool:
 
 
 def _warn_of_rounded_twists(arm: Arm, leaves: dict, up: int) -> None:
-    """Say that a table is of a faster family but for rounded numbers, which `tolerance` would forgive."""
+    """Say that a table is of a faster family but for rounded numbers, which `axis_tolerance` would
+    forgive."""
     if arm.family is None:
         return  # `solve` refuses it, and says the same
     rank = list(RULES).index
     for each in AXIS_LADDER[:1]:
-        near = recognize.recognise(arm.kinds, leaves, None, up, each).family
+        near = recognize.recognize(arm.kinds, leaves, None, up, each).family
         if near is not None and rank(near) < rank(arm.family):
             warn(
                 f"{arm.name} is taken as {arm.family}; but for rounded numbers it is {near}, which is "
-                f"faster: build it with tolerance={each:g}"
+                f"faster: build it with axis_tolerance={each:g}"
             )
 
 
-def _nearest(given: Axes, leaves: dict, tolerance: float | None, family, up: int, name: str, dtype) -> Arm:
+def _nearest(
+    given: Axes, leaves: dict, axis_tolerance: float | None, family, up: int, name: str, dtype
+) -> Arm:
     """The arm of axes in space, its table exact to the least tolerance that gives it a family.
 
     Of the exact table and that of the first tolerance the one with the faster family is taken; looser ones
     are tried where neither has any.
     """
-    if tolerance is not None and not 0 <= tolerance <= LARGEST_AXIS_TOLERANCE:
-        raise ValueError(f"tolerance must be between 0 and {LARGEST_AXIS_TOLERANCE}, got {tolerance}")
-    ladder = AXIS_LADDER if tolerance is None else (tolerance,)
+    if axis_tolerance is not None and not 0 <= axis_tolerance <= LARGEST_AXIS_TOLERANCE:
+        raise ValueError(
+            f"axis_tolerance must be between 0 and {LARGEST_AXIS_TOLERANCE}, got {axis_tolerance}"
+        )
+    ladder = AXIS_LADDER if axis_tolerance is None else (axis_tolerance,)
     best: tuple[int, Rewritten] | None = None
     none = len(RULES)
     for each in (FACT, *(max(rung, FACT) for rung in ladder)):
@@ -367,7 +372,7 @@ def _nearest(given: Axes, leaves: dict, tolerance: float | None, family, up: int
             break
         table = rewritten(given, each)
         numbers = {**table.columns, "tool": table.tool}
-        found = recognize.recognise(given.kinds, numbers, None, up).family
+        found = recognize.recognize(given.kinds, numbers, None, up).family
         # Axes that are made parallel for the size of the numbers may be off by more than was asked for.
         within = _largest(table.correction, numbers) <= 4 * each
         rank = (

@@ -32,7 +32,7 @@ def _study(options) -> study_file.Recipe:
         raise ValueError("--certify is for float32 sweeps; --float64 needs none")
     arm = study_file.find_arm(options.arm, **file_options(options))
     orientations = 512 if options.orientations is None else options.orientations
-    positions = ikjax.around(arm, options.spacing or 0.05)
+    positions = ikjax.maps.around(arm, options.spacing or 0.05)
     dtype = "float64" if options.other_dtype else "float32"
     kept = study_file.STATISTICS, None, dtype, options.certify
     return study_file.Recipe(arm, positions, orientations, 1, *kept)

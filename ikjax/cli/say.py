@@ -9,7 +9,7 @@ import sys
 
 from ikjax.core.text import one_line, printable
 
-FILE_OPTIONS = ("base", "tip", "tolerance")
+FILE_OPTIONS = ("base", "tip", "axis_tolerance")
 
 
 def say(options, text: str, data: dict) -> None:
@@ -30,4 +30,6 @@ def in_flags(options, text: str) -> str:
     """The library's text with --tip for tip=, where that is an option."""
     if not hasattr(options, "tip") or str(options.arm).endswith(".toml"):
         return text
-    return re.sub(rf"\b({'|'.join(FILE_OPTIONS)})=(:?)", lambda m: f"--{m[1]}{m[2] or ' '}", text)
+    return re.sub(
+        rf"\b({'|'.join(FILE_OPTIONS)})=(:?)", lambda m: f"--{m[1].replace('_', '-')}{m[2] or ' '}", text
+    )

@@ -91,7 +91,7 @@ def _drawn(options, reach: ikjax.ReachMap, earlier: ikjax.ReachMap | None, page:
 
     text = ""
     if options.picture:
-        if page and earlier is not None and earlier.grid == reach.grid:
+        if page and earlier is not None and earlier.positions == reach.positions:
             plot.comparison(earlier, reach, options.picture)
         else:
             plot.reach_map(reach, options.picture)

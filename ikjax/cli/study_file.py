@@ -6,13 +6,13 @@ own folder.
     arm = "puma560"                 # of the catalogue, or a URDF file, and for a file
     base = "base_link"              # the link it starts from, by default the root
     tip = "tool0"                   # the link it ends at, by default the one leaf
-    tolerance = 1e-3                # see `Arm.from_urdf`
+    axis_tolerance = 1e-3                # see `Arm.from_urdf`
     spacing = 0.03                  # [m]
     orientations = 512              # even ones; or { wxyz = [[1, 0, 0, 0], ...] } or { hopf = 2 } or
                                     # { cone = { direction = [0, 0, -1], half_angle = 0.5, directions = 64 } }
-    rolls = 8                       # turns about the tool of which one must do; 1 by default
+    free_rolls = 8                     # turns about the tool of which one must do; 1 by default
     bounds = [[-1, -1, 0], [1, 1, 1]]          # corners [m]; by default all that is within reach
-    shell = { centre = [0, 0, 0], radii = [0.5, 0.7], directions = 500 }       # in place of spacing
+    shell = { center = [0, 0, 0], radii = [0.5, 0.7], directions = 500 }       # in place of spacing
     surface = { file = "part.stl", scale = 0.001, spacing = 0.01 }             # or "points.csv"; likewise
     limits = [[-2.8, 2.8], ...]     # [rad, m]; or false for none; by default the arm's own
     statistics = ["reachable", ...] # see `statistics`
@@ -40,9 +40,23 @@ from ikjax.maps.statistics import USUAL as STATISTICS
 from ikjax.maps.statistics import available
 
 KEYS = (
-    *("arm", "base", "tip", "tolerance", "spacing", "orientations", "rolls", "bounds", "shell", "surface"),
+    *(
+        "arm",
+        "base",
+        "tip",
+        "axis_tolerance",
+        "spacing",
+        "orientations",
+        "free_rolls",
+        "bounds",
+        "shell",
+        "surface",
+    ),
     *("limits", "statistics", "chunk", "dtype", "certify"),
 )
+RENAMED = {"tolerance": "axis_tolerance", "rolls": "free_rolls"}
+"""Keys of older files, and what they are called now."""
+
 LARGEST = 2**24
 """Bytes of a file."""
 
@@ -53,7 +67,7 @@ class Recipe(NamedTuple):
     arm: Arm
     positions: Grid | Shell | Surface
     orientations: Any
-    rolls: int
+    free_rolls: int
     statistics: tuple[str, ...]
     chunk: tuple[int, ...] | None
     dtype: str
@@ -87,7 +101,7 @@ def find_arm(
     *,
     base: str | None = None,
     tip: str | None = None,
-    tolerance: float | None = None,
+    axis_tolerance: float | None = None,
 ) -> Arm:
     """An arm of the catalogue, or of a URDF file.
 
@@ -96,13 +110,13 @@ def find_arm(
     Args:
         name: Of the arm or the file.
         folder: Where the file's name counts from.
-        base, tip, tolerance: As in `Arm.from_urdf`.
+        base, tip, axis_tolerance: As in `Arm.from_urdf`.
 
     Raises:
         ValueError: Neither a file nor a name of the catalogue, or an option of files for the latter.
         OSError: The file cannot be read.
     """
-    options: dict[str, Any] = {"base": base, "tip": tip, "tolerance": tolerance}
+    options: dict[str, Any] = {"base": base, "tip": tip, "axis_tolerance": axis_tolerance}
     options = {key: value for key, value in options.items() if value is not None}
     path = pathlib.Path(name) if folder is None else folder / name
     known = name in robots.names()
@@ -118,6 +132,8 @@ def find_arm(
 
 def _understood(said: dict, folder: pathlib.Path) -> Recipe:
     for key in said:
+        if key in RENAMED:
+            raise ValueError(f"{key!r} is called {RENAMED[key]!r} now")
         if key not in KEYS:
             raise ValueError(f"no key {key!r}; the keys are {', '.join(KEYS)}")
     for key in ("arm", "orientations"):
@@ -125,18 +141,18 @@ def _understood(said: dict, folder: pathlib.Path) -> Recipe:
             raise ValueError(f"{key} is missing")
     if not isinstance(said["arm"], str):
         raise ValueError(f'arm must be a name or a file, as in "puma560", got {said["arm"]!r}')
-    for key, kind in {"base": _is_text, "tip": _is_text, "tolerance": _is_number}.items():
+    for key, kind in {"base": _is_text, "tip": _is_text, "axis_tolerance": _is_number}.items():
         if key in said and not kind(said[key]):
             raise ValueError(f"{key} is of the wrong kind: {said[key]!r}")
-    ends = {key: said.get(key) for key in ("base", "tip", "tolerance")}
+    ends = {key: said.get(key) for key in ("base", "tip", "axis_tolerance")}
     arm = _limited(find_arm(said["arm"], folder, **ends), said.get("limits"))
     positions = _positions(said, arm, folder)
     statistics, known = said.get("statistics", list(STATISTICS)), available()
     if not isinstance(statistics, list) or not all(name in known for name in statistics) or not statistics:
         raise ValueError(f"statistics must be a list of {', '.join(known)}, got {statistics!r}")
-    rolls = said.get("rolls", 1)
-    if not _is_count(rolls):
-        raise ValueError(f"rolls must be a whole number above zero, got {rolls!r}")
+    free_rolls = said.get("free_rolls", 1)
+    if not _is_count(free_rolls):
+        raise ValueError(f"free_rolls must be a whole number above zero, got {free_rolls!r}")
     dtype = said.get("dtype", "float32")
     if dtype not in ("float32", "float64"):
         raise ValueError(f'dtype must be "float32" or "float64", got {dtype!r}')
@@ -153,7 +169,7 @@ def _understood(said: dict, folder: pathlib.Path) -> Recipe:
         raise ValueError(f"chunk must be {axes} whole numbers above zero, got {chunk!r}")
     chunk = None if chunk is None else tuple(chunk)
     turns = _orientations(said["orientations"])
-    return Recipe(arm, positions, turns, rolls, tuple(statistics), chunk, dtype, certify)
+    return Recipe(arm, positions, turns, free_rolls, tuple(statistics), chunk, dtype, certify)
 
 
 def _positions(said: dict, arm: Arm, folder: pathlib.Path) -> Grid | Shell | Surface:
@@ -163,9 +179,9 @@ def _positions(said: dict, arm: Arm, folder: pathlib.Path) -> Grid | Shell | Sur
     if "bounds" in said and given != ["spacing"]:
         raise ValueError(f"bounds go with spacing, not with {given[0]}")
     if given == ["shell"]:
-        kinds = {"centre": (3,), "radii": None, "directions": _is_count}
-        table = _table("shell", said["shell"], kinds, needs=("centre", "radii", "directions"))
-        return shell(table["centre"], table["radii"], table["directions"])
+        kinds = {"center": (3,), "radii": None, "directions": _is_count}
+        table = _table("shell", said["shell"], kinds, needs=("center", "radii", "directions"))
+        return shell(table["center"], table["radii"], table["directions"])
     if given == ["surface"]:
         kinds = {"file": _is_text, "scale": _is_number, "spacing": _is_number}
         table = _table("surface", said["surface"], kinds, needs=("file",))
@@ -181,6 +197,9 @@ def _positions(said: dict, arm: Arm, folder: pathlib.Path) -> Grid | Shell | Sur
 
 def _table(name: str, said, kinds: dict[str, Any], needs: tuple[str, ...]) -> dict[str, Any]:
     """A table's entries; a kind is what tells a good value, or the shape of an array, None for any."""
+    for old, new in (("centre", "center"), ("rolls", "turns")):
+        if isinstance(said, dict) and old in said and new in kinds:
+            raise ValueError(f"{name}.{old} is called {name}.{new} now")
     if not isinstance(said, dict) or not set(needs) <= said.keys() <= kinds.keys():
         raise ValueError(f"{name} must have the keys {', '.join(kinds)}, got {said!r}")
     found = {}
@@ -216,7 +235,7 @@ def _orientations(said) -> Any:
     if isinstance(said, dict) and list(said) == ["hopf"]:
         return hopf(said["hopf"])
     if isinstance(said, dict) and list(said) == ["cone"]:
-        kinds = {"direction": (3,), "half_angle": _is_number, "directions": _is_count, "rolls": _is_count}
+        kinds = {"direction": (3,), "half_angle": _is_number, "directions": _is_count, "turns": _is_count}
         return cone(**_table("orientations.cone", said["cone"], kinds, needs=tuple(kinds)[:3]))
     raise ValueError(
         f"orientations must be a whole number above zero or a table such as {{ wxyz = [[1, 0, 0, 0]] }}, "

@@ -121,7 +121,7 @@ def parser() -> argparse.ArgumentParser:
 def _add_file_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--base", metavar="LINK", help="where a file's arm begins; by default the root")
     parser.add_argument("--tip", metavar="LINK", help="where it ends; by default the one leaf")
-    parser.add_argument("--tolerance", type=float, help="how far its axes may be off, 1e-5 by default")
+    parser.add_argument("--axis-tolerance", type=float, help="how far its axes may be off, 1e-5 by default")
 
 
 def _add_dtype(parser: argparse.ArgumentParser, flag: str) -> None:

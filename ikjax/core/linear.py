@@ -1,7 +1,7 @@
 """Small dense systems, unrolled.
 
 Every entry may be an array of any batch shape.
-Source: the square-root-free Cholesky factorisation; Golub and Van Loan, Matrix Computations, section 4.1.
+Source: the square-root-free Cholesky factorization; Golub and Van Loan, Matrix Computations, section 4.1.
 """
 
 import jax.numpy as jnp

@@ -1,6 +1,6 @@
 """Rigid poses: in scalars inside kernels, as (..., 4, 4) arrays at the door.
 
-`T_a_b` maps coordinates in frame b to coordinates in frame a, so that neighbours
+`T_a_b` maps coordinates in frame b to coordinates in frame a, so that neighbors
 cancel when read: T_base_tool = T_base_elbow @ T_elbow_tool.
 Source of the angle conventions: Craig, Introduction to Robotics, 3rd ed., section 2.8.
 """

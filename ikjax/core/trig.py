@@ -1,4 +1,4 @@
-"""Sine with cosine, atan2 and wrapping as plain polynomials, so that they vectorise.
+"""Sine with cosine, atan2 and wrapping as plain polynomials, so that they vectorize.
 
 One code path for every device; float32 and float64.
 `jnp.sin`, `jnp.cos` and `jnp.arctan2` are one library call for each number on a CPU, which no
@@ -82,7 +82,7 @@ _ATAN = {
     ),
 }
 # (sin(t)/t - 1) / t^2 and (cos(t) - 1 + t^2/2) / t^4 on |t| <= pi/4; in float32 on |t| <= 0.8,
-# because there a large angle can be rounded into the neighbouring quarter.
+# because there a large angle can be rounded into the neighboring quarter.
 _SIN = {
     32: (-0.1666664880690369, 0.008331875627470087, -0.00019482769794619849),
     64: (

@@ -1,7 +1,7 @@
 """3-vectors and 3x3 matrices as tuples of scalars.
 
 A vector is (x, y, z), a matrix three rows of it. Every component may be an array of
-any batch shape: each line is one elementwise operation, which XLA fuses with its neighbours.
+any batch shape: each line is one elementwise operation, which XLA fuses with its neighbors.
 
 A component that is a plain Python 0, 1 or -1 is known while tracing and costs nothing; that is how
 an arm baked in as constants becomes fast.

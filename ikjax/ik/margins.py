@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import reach
-from ikjax.ik.quality import limit_distance
+from ikjax.ik.quality import limit_clearance
 from ikjax.ik.results import Solutions
 from ikjax.ik.select import within_limits
 
@@ -69,7 +69,7 @@ def limited_margins(arm: Arm, sol: Solutions) -> Solutions:
         sol: From `solve`, as it came.
     """
     arm = arm.baked()
-    spare = reach(arm) * limit_distance(arm, sol.q)
+    spare = reach(arm) * limit_clearance(arm, sol.q)
     spare = jnp.asarray(spare, sol.margin.dtype)
     margin = jnp.minimum(sol.margin, jnp.where(sol.valid, spare, 0))
     return dataclasses.replace(within_limits(arm, sol), margin=margin)

@@ -121,7 +121,7 @@ def checked(arm: Arm, goals, length, steps: int) -> tuple[jax.Array, Arm]:
     if not isinstance(steps, int | np.integer) or steps < 0:
         raise ValueError(f"steps must be a whole number, not negative, got {steps!r}")
     if np.ndim(length) or (not isinstance(length, jax.core.Tracer) and not 0 < float(length) < np.inf):
-        raise ValueError(f"length must be a positive number of metres, got {length}")
+        raise ValueError(f"characteristic_length must be a positive number of metres, got {length}")
     return goals, arm.baked().astype(goals.dtype)
 
 

@@ -1,9 +1,9 @@
 """How well an arm moves where it stands: per branch with `sol.q`, differentiable in joints and arm.
 
-All but `limit_distance` are read off the singular values of the Jacobian in the rows that the
-arm's task asks for. Metres and radians are made comparable as everywhere in this library: a length counts as
-its share of the reach, of the tool's motion and of a slide's alike. So the values have no unit and do not
-change when an arm is scaled; `length` puts another number of metres in the place of the reach.
+All but `limit_clearance` are read off the singular values of the Jacobian in the rows that the arm's task
+asks for. Metres and radians are made comparable as everywhere in this library: a characteristic_length counts
+as its share of the reach, of the tool's motion and of a slide's alike. So the values have no unit and do not
+change when an arm is scaled; `characteristic_length` puts another number of metres in the place of the reach.
 
 Values are finite everywhere, and so are slopes: at singularities, where the least singular value has a
 corner, its slope is that of one side or zero.
@@ -28,7 +28,7 @@ from ikjax.core.xla import opaque_one, pinning
 from ikjax.ik.inline import jit_with_arm
 
 
-def manipulability(arm: Arm, q, *, length=None) -> jax.Array:
+def manipulability(arm: Arm, q, *, characteristic_length=None) -> jax.Array:
     """Yoshikawa's measure: the product of the singular values, |det J| where J is square.
 
     An arm of fewer joints than its task has rows (five joints, a pose) is measured by the volume of what
@@ -37,7 +37,8 @@ def manipulability(arm: Arm, q, *, length=None) -> jax.Array:
     Args:
         arm: Its leaves may be traced.
         q: Joint values [rad, m], (..., n); `sol.q` gives a value for each branch.
-        length: Metres that count as one radian, and as one for a slide; the arm's reach by default.
+        characteristic_length: Metres that count as one radian, and as one for a slide; the arm's reach by
+            default.
 
     Returns:
         (...), zero at a singularity.
@@ -45,27 +46,27 @@ def manipulability(arm: Arm, q, *, length=None) -> jax.Array:
     Raises:
         ValueError: q of another length than the arm has joints.
     """
-    return _volume(arm, check_joints(arm, q), length)
+    return _volume(arm, check_joints(arm, q), characteristic_length)
 
 
-def sigma_min(arm: Arm, q, *, length=None) -> jax.Array:
+def sigma_min(arm: Arm, q, *, characteristic_length=None) -> jax.Array:
     """The least singular value of the Jacobian: the slowest that the tool moves for joints at unit speed.
 
     Arguments as in `manipulability`. Where the least value is repeated, the slope is the mean of its own.
     """
-    return functools.reduce(jnp.minimum, _values(arm, check_joints(arm, q), length))
+    return functools.reduce(jnp.minimum, _values(arm, check_joints(arm, q), characteristic_length))
 
 
-def inverse_condition(arm: Arm, q, *, length=None) -> jax.Array:
+def inverse_condition(arm: Arm, q, *, characteristic_length=None) -> jax.Array:
     """The least singular value over the greatest: 0 at a singularity, 1 where the arm moves all ways alike.
 
     Arguments as in `manipulability`.
     """
-    values = _values(arm, check_joints(arm, q), length)
+    values = _values(arm, check_joints(arm, q), characteristic_length)
     return safe.divide(functools.reduce(jnp.minimum, values), functools.reduce(jnp.maximum, values))
 
 
-def limit_distance(arm: Arm, q) -> jax.Array:
+def limit_clearance(arm: Arm, q) -> jax.Array:
     """How far the nearest joint limit is [rad]: positive within the limits, negative beyond one.
 
     A turning joint counts with the best of all its whole turns, wherever in `q` it stands: the value is
@@ -79,11 +80,11 @@ def limit_distance(arm: Arm, q) -> jax.Array:
     Returns:
         (...). Half-way between two limits it has a corner.
     """
-    return _limit_distance(arm, check_joints(arm, q))
+    return _limit_clearance(arm, check_joints(arm, q))
 
 
 @jit_with_arm
-def _limit_distance(arm: Arm, q: jax.Array) -> jax.Array:
+def _limit_clearance(arm: Arm, q: jax.Array) -> jax.Array:
     return functools.reduce(jnp.minimum, [_clearance(arm, i, q[..., i]) for i in range(arm.n)])
 
 
@@ -102,26 +103,26 @@ def _clearance(arm: Arm, i: int, value: jax.Array) -> jax.Array:
 
 
 @jit_with_arm
-def _volume(arm: Arm, q: jax.Array, length) -> jax.Array:
-    return volume(_columns(arm, q, length))
+def _volume(arm: Arm, q: jax.Array, characteristic_length) -> jax.Array:
+    return volume(_columns(arm, q, characteristic_length))
 
 
 @jit_with_arm
-def _values(arm: Arm, q: jax.Array, length) -> tuple[jax.Array, ...]:
+def _values(arm: Arm, q: jax.Array, characteristic_length) -> tuple[jax.Array, ...]:
     """Singular values of the Jacobian, each (...)."""
-    return singular_values(_columns(arm, q, length))
+    return singular_values(_columns(arm, q, characteristic_length))
 
 
-def _columns(arm: Arm, q: jax.Array, length) -> list[tuple[jax.Array, ...]]:
+def _columns(arm: Arm, q: jax.Array, characteristic_length) -> list[tuple[jax.Array, ...]]:
     """Of the Jacobian, or its rows where those are fewer; each entry (...)."""
     one = opaque_one(q[..., 0])
 
     with pinning(lambda x: x / one if isinstance(x, jax.Array) else x):
         found = chain(arm, tuple(q[..., i] for i in range(arm.n)))
     tip = poses.compose(found.last, fixed_pose(arm.tool)).position
-    length = reach(arm) if length is None else length
-    rows = twists.asked(arm, found, safe.divide(1, length))
-    units = [length if kind == "P" else 1.0 for kind in arm.kinds]
+    characteristic_length = reach(arm) if characteristic_length is None else characteristic_length
+    rows = twists.asked(arm, found, safe.divide(1, characteristic_length))
+    units = [characteristic_length if kind == "P" else 1.0 for kind in arm.kinds]
     motions = zip(units, twists.of_motors(arm, found, tip), strict=True)
     columns = [tuple(x * one for x in rows(motion.times(unit))) for unit, motion in motions]
     few = len(columns) <= len(columns[0])

@@ -1,6 +1,6 @@
 """`refine`: from given joints down to the nearest attainable pose.
 
-The default takes damped Newton steps (`ik.multistart`, `ik.newton`); a loss of the caller's own is minimised
+The default takes damped Newton steps (`ik.multistart`, `ik.newton`); a loss of the caller's own is minimized
 by an optax optimizer.
 """
 
@@ -24,7 +24,7 @@ def refine(
     arm: Arm,
     goals,
     q0,
-    length: float = 0.1,
+    characteristic_length: float = 0.1,
     *,
     priority: str = "weighted",
     steps: int = STEPS,
@@ -33,10 +33,10 @@ def refine(
 ) -> Projection:
     """The nearest attainable pose downhill from given joints, within the joint limits.
 
-    Minimises |dp|^2 + (length * angle)^2, dp being the way between the tool's point and the goal's and angle
-    the rotation between them. An arm whose task leaves out the orientation, or what lies off its plane, is
-    asked for the rest. A start outside the limits is first moved into them, by whole turns where that will
-    do. From there on no step makes the cost greater, beyond its rounding.
+    Minimizes |dp|^2 + (characteristic_length * angle)^2, dp being the way between the tool's point and the
+    goal's and angle the rotation between them. An arm whose task leaves out the orientation, or what lies off
+    its plane, is asked for the rest. A start outside the limits is first moved into them, by whole turns
+    where that will do. From there on no step makes the cost greater, beyond its rounding.
 
     Args:
         arm: Any arm of up to seven joints, of a family or of none.
@@ -44,15 +44,15 @@ def refine(
             three typed decimals are, the nearest rotation is the goal; `goal_error` says by how much. Beyond
             that, or of another bottom row, the goal is no pose: errors are NaN, and `q` is where it started.
         q0: (..., n) joint values to start from, or (..., S, n) for S starts of each goal.
-        length: What a radian is worth [m]; positive. A short one holds the point and a long one the
-            orientation, each to about its square over a square length of the arm.
+        characteristic_length: What a radian is worth [m]; positive. A short one holds the point and a long
+            one the orientation, each to about its square over a square length of the arm.
         priority: "weighted" is that sum. "position": of the poses with the least distance, that of the least
             angle; "orientation" the reverse (`ik.lexicographic`), in stages of `steps`. Of the starts, those
             whose first error is the least to 1e-7 (float32: 1e-4) reaches or rad count as equal, and the
             second decides.
         steps: At most so many.
-        loss: `loss(arm, goal, q)` of one goal (4, 4) and joints (n,), to minimise instead.
-        optimizer: An optax optimiser for `loss`; `optax.adam(0.02)` by default. Joints are put back into the
+        loss: `loss(arm, goal, q)` of one goal (4, 4) and joints (n,), to minimize instead.
+        optimizer: An optax optimizer for `loss`; `optax.adam(0.02)` by default. Joints are put back into the
             limits after each step, and the best of all steps is returned.
 
     Returns:
@@ -66,7 +66,7 @@ def refine(
     Raises:
         ValueError: Wrong shapes or types.
     """
-    goals, arm = checked(arm, goals, length, steps)
+    goals, arm = checked(arm, goals, characteristic_length, steps)
     starts = as_array(q0, goals.dtype)
     batch = goals.shape[:-2]
     wanted = (*batch, arm.n)
@@ -85,12 +85,14 @@ def refine(
     if loss is not None:
         if priority != "weighted":
             raise ValueError(f"priority is of the errors, and not of a loss: got {priority!r} with loss=")
-        return best_of(arm, goals, minimised(arm, goals, starts, loss, optimizer, steps))
+        return best_of(arm, goals, minimized(arm, goals, starts, loss, optimizer, steps))
     priority = priorities.checked(arm, priority)
-    return best_of(arm, goals, descended(arm, goals, starts, length, steps, priority), priority)
+    return best_of(
+        arm, goals, descended(arm, goals, starts, characteristic_length, steps, priority), priority
+    )
 
 
-def minimised(arm: Arm, goals: jax.Array, starts: jax.Array, loss, optimizer, steps: int) -> Projection:
+def minimized(arm: Arm, goals: jax.Array, starts: jax.Array, loss, optimizer, steps: int) -> Projection:
     """The best of all steps from each start (..., S, n), fields (..., S); arguments as in `refine`.
 
     The loss is handed the pose nearest to each goal, or the goal as it is where there is none.

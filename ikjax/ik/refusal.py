@@ -38,7 +38,7 @@ def refusal(arm: Arm) -> str:
     found, nearest = _within(given, families), ""
     if found:
         family, off, tolerance = found
-        remedy += f"; within {off:.2g} it is {family}: build it with tolerance={tolerance}"
+        remedy += f"; within {off:.2g} it is {family}: build it with axis_tolerance={tolerance}"
     else:
         family = _nearest(given, families)
         nearest = f"for {family}, the nearest, "
@@ -58,7 +58,7 @@ def _within(given: Axes, families: list[str]) -> tuple[str, float, str] | None:
             break
         table = rewritten(given, float(tolerance))
         numbers = {**table.columns, "tool": table.tool}
-        family = recognize.recognise(given.kinds, numbers).family
+        family = recognize.recognize(given.kinds, numbers).family
         if family and (not found or families.index(family) < families.index(found[0])):
             shift, turn = np.abs(table.correction[:, :3]).max(), np.abs(table.correction[:, 3:]).max()
             found = family, max(float(turn), float(shift) / _size(numbers)), tolerance

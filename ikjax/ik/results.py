@@ -1,4 +1,5 @@
-"""What is returned: `Solutions` of `solve`, `Projection` of `project` and `refine`, `Path` of `track`."""
+"""What is returned: `Solutions` of `solve`, `Projection` of `project` and `refine`, `Trajectory` of
+`track`."""
 
 import dataclasses
 
@@ -111,7 +112,7 @@ class Projection:
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, eq=False)
-class Path:
+class Trajectory:
     """Where the arm stands along a path of T goals."""
 
     q: jax.Array

@@ -25,18 +25,18 @@ from ikjax.solvers.pipeline import as_solved
 
 
 def solve(
-    arm: Arm, goals, q_now=None, *, tolerance: float | None = None, damping: float | None = None
+    arm: Arm, goals, q_now=None, *, pose_tolerance: float | None = None, damping: float | None = None
 ) -> Solutions:
     """Every branch of every goal.
 
     Args:
         arm: An arm with a family (`explain(arm)` says which).
         goals: T_world_tool, (..., 4, 4), float32 or float64; the answer has its type. A goal that is
-            not finite, or whose rotation is off by more than 1e-5, is masked; its neighbours are not
+            not finite, or whose rotation is off by more than 1e-5, is masked; its neighbors are not
             touched.
         q_now: (..., n) joint values that a joint follows where it is arbitrary; zero by default. Where a
             turning one is beyond four turns, a warning asks whether these are degrees.
-        tolerance: How far a valid pose may be from its goal, [rad] and as a share of
+        pose_tolerance: How far a valid pose may be from its goal, [rad] and as a share of
             (reach + |p|); 1e-9 in float64 and 2e-5 in float32 by default.
         damping: Of slopes near singularities, as a singular value of the Jacobian in reaches: where the
             least one is sigma, slopes are short by (damping / sigma)^2; 16 square roots of the type's
@@ -64,24 +64,24 @@ def solve(
         except ValueError as error:
             raise ValueError(f"q_now must have shape {(*batch, arm.n)}, got {q_now.shape}") from error
     if not is_traced((arm, goals, q_now)):
-        return _solved(arm, goals, q_now, tolerance)
+        return _solved(arm, goals, q_now, pose_tolerance)
     if not is_traced(goals):
         # Goals that a jit captures are constants to XLA, which would fold what holds shared values apart.
         goals = jax.lax.optimization_barrier(goals)
-    sol = _solved(*stop_gradient((arm, goals, q_now)), tolerance)
+    sol = _solved(*stop_gradient((arm, goals, q_now)), pose_tolerance)
     q, margin = with_slopes(arm, goals, sol.q, sol.valid, sol.margin, damping)
     return dataclasses.replace(sol, q=q, margin=margin)
 
 
-def _solved(arm: Arm, goals: jax.Array, q_now, tolerance) -> Solutions:
+def _solved(arm: Arm, goals: jax.Array, q_now, pose_tolerance) -> Solutions:
     """`Solutions` without slopes."""
     if is_traced((arm, goals, q_now)):
         # What of the arm is not traced itself becomes constants of the caller's jit.
-        return solve_here(arm, goals, q_now, tolerance)
+        return solve_here(arm, goals, q_now, pose_tolerance)
     batch = goals.shape[:-2]
     flat = goals.reshape(-1, 4, 4)
     now = None if q_now is None else q_now.reshape(-1, arm.n)
-    packed = batched.solve_blocks(arm, flat, now, tolerance)
+    packed = batched.solve_blocks(arm, flat, now, pose_tolerance)
     return jax.tree.map(lambda x: x.reshape(*batch, *x.shape[1:]), packed)
 
 

@@ -18,12 +18,12 @@ from ikjax.core.tolerances import TRACK_SLACK, VALID
 from ikjax.ik import newton
 from ikjax.ik.inline import entries_of, jit_with_arm
 from ikjax.ik.multistart import asked, checked, from_starts, goal_error, proposals
-from ikjax.ik.results import Path
+from ikjax.ik.results import Trajectory
 from ikjax.ik.solve import check_family
 
 STEPS = 24
 
-LEAP = 0.5
+MAX_JOINT_STEP = 0.5
 """[rad]"""
 
 
@@ -31,12 +31,12 @@ def track(
     arm: Arm,
     goals,
     q0,
-    length: float = 0.1,
+    characteristic_length: float = 0.1,
     *,
     steps: int = STEPS,
-    leap: float = LEAP,
+    max_joint_step: float = MAX_JOINT_STEP,
     slack: float | None = None,
-) -> Path:
+) -> Trajectory:
     """Follow a path of goals from given joints, on the branch that they are on.
 
     An arm that can reach a goal reaches it; else it takes the nearest pose of its branch, as `project` means
@@ -48,20 +48,20 @@ def track(
         goals: T_world_tool along the path, (..., T, 4, 4), float32 or float64. Of rotations that are off by
             up to 1e-2, the nearest ones are the goals.
         q0: (..., n) joint values before the first goal; moved into the limits.
-        length: What a radian is worth [m]; positive.
+        characteristic_length: What a radian is worth [m]; positive.
         steps: Newton steps at each goal.
-        leap: A joint that moves further in one step of the path counts as a jump [rad, m].
+        max_joint_step: A joint that moves further in one step of the path counts as a jump [rad, m].
         slack: By how much the root of the cost may be larger on the arm's own branch than on the best [m];
             a thousandth of the reach by default.
 
     Returns:
-        `Path`. It has no slopes.
+        `Trajectory`. It has no slopes.
 
     Raises:
         ValueError: Wrong shapes or types, or an arm of no family.
     """
     check_family(arm)
-    goals, arm = checked(arm, goals, length, steps)
+    goals, arm = checked(arm, goals, characteristic_length, steps)
     if goals.ndim < 3:
         raise ValueError(f"goals must have shape (..., T, 4, 4), got {goals.shape}")
     q0 = as_array(q0, goals.dtype)
@@ -71,16 +71,16 @@ def track(
     q0 = jnp.broadcast_to(q0, (*batch, arm.n))
     if slack is None:
         slack = TRACK_SLACK * reach(arm)
-    numbers = tuple(as_array(x, goals.dtype) for x in (length, leap, slack))
+    numbers = tuple(as_array(x, goals.dtype) for x in (characteristic_length, max_joint_step, slack))
     arm, goals, q0, numbers = stop_gradient((arm, goals, q0, numbers))
     return _tracked(arm, goals, q0, *numbers, np.int32(steps))
 
 
 @jit_with_arm
-def _tracked(arm: Arm, goals, q0, length, leap, slack, steps) -> Path:
+def _tracked(arm: Arm, goals, q0, characteristic_length, max_joint_step, slack, steps) -> Trajectory:
 
     def onward(q, goal):
-        at = _next(arm, goal, q, length, leap, slack, steps)
+        at = _next(arm, goal, q, characteristic_length, max_joint_step, slack, steps)
         return at.q, at
 
     first = newton.into_limits(arm, tuple(q0[..., i] for i in range(arm.n)))
@@ -90,7 +90,7 @@ def _tracked(arm: Arm, goals, q0, length, leap, slack, steps) -> Path:
     return dataclasses.replace(path, goal_error=goal_error(goals))
 
 
-def _next(arm: Arm, goal, q, length, leap, slack, steps: int) -> Path:
+def _next(arm: Arm, goal, q, characteristic_length, max_joint_step, slack, steps: int) -> Trajectory:
     """From joints (..., n) to the next goal (..., 4, 4)."""
     pose, proper, policy = asked(arm, entries_of(goal))
     now = tuple(q[..., i] for i in range(arm.n))
@@ -98,7 +98,7 @@ def _next(arm: Arm, goal, q, length, leap, slack, steps: int) -> Path:
     here = tuple(x[None] for x in now)
     starts = newton.into_limits(arm, starts, here)
     starts = tuple(jnp.concatenate([x, y]) for x, y in zip(here, starts, strict=True))
-    found = from_starts(arm, pose, proper, starts, length, steps, None)
+    found = from_starts(arm, pose, proper, starts, characteristic_length, steps, None)
     values = newton.into_limits(arm, found.q, here)
     moves = functools.reduce(jnp.maximum, [abs(x - y) for x, y in zip(values, here, strict=True)])
     far = jnp.sqrt(found.cost)
@@ -110,9 +110,9 @@ def _next(arm: Arm, goal, q, length, leap, slack, steps: int) -> Path:
         return jnp.take_along_axis(x, best[None], axis=0)[0]
 
     moved = jnp.where(proper[..., None], jnp.stack([pick(x) for x in values], axis=-1), q)
-    jumped = proper & (~stays | (pick(moves) > leap))
+    jumped = proper & (~stays | (pick(moves) > max_joint_step))
     tolerance = VALID[goal.dtype.name]
     size = reach(arm) + jnp.sqrt(sum(x * x for x in pose.position))
     gap, angle = pick(found.position_error), pick(found.rotation_error)
     reached = proper & (gap <= tolerance * size) & (angle <= tolerance)
-    return Path(moved, proper & ~jumped, jumped, reached, pick(found.cost), gap, angle)
+    return Trajectory(moved, proper & ~jumped, jumped, reached, pick(found.cost), gap, angle)

@@ -19,7 +19,7 @@ from ikjax.ik.solve import check_family, solve
 BATCH = 20_000
 
 
-class Report(NamedTuple):
+class VerifyReport(NamedTuple):
     """How many goals, and what became of them."""
 
     arm: str
@@ -40,7 +40,7 @@ class Report(NamedTuple):
     """Greatest position error of a valid slot, as a share of reach + |p|."""
 
 
-def verify(arm: Arm, count: int = 100_000, *, dtype=None, seed: int = 0) -> Report:
+def verify(arm: Arm, count: int = 100_000, *, dtype=None, seed: int = 0) -> VerifyReport:
     """The four rates of an arm.
 
     Args:
@@ -69,7 +69,7 @@ def verify(arm: Arm, count: int = 100_000, *, dtype=None, seed: int = 0) -> Repo
         tally += wrong.sum(), none.sum(), missing.sum(), 0 if near else (~(wrong | none | missing)).sum()
         worst = max(worst, off)
     wrong, none, missing, success = map(int, tally)
-    return Report(
+    return VerifyReport(
         arm.name, str(arm.family), dtype.name, count, success, wrong, none, missing, singular, worst
     )
 

@@ -37,7 +37,7 @@ def traced(name: str, function: Callable, *inputs: Any) -> tuple[str, list[tuple
 
 
 def _code(name: str, program: ClosedJaxpr) -> str:
-    # Where functions lie in memory is no part of a program, and neither are the colours of a terminal.
+    # Where functions lie in memory is no part of a program, and neither are the colors of a terminal.
     text = re.sub(r"0x[0-9a-f]+", "", program.jaxpr.pretty_print(source_info=False, use_color=False))
     if outside := re.search(rf"\b({'|'.join(OUTSIDE)})\[", text):
         raise ValueError(f"{name} must be made by jax alone, got {outside[1]}, which calls Python")

@@ -8,7 +8,7 @@ import numpy as np
 
 from ikjax.arm.arm import Arm
 from ikjax.maps import statistics
-from ikjax.maps.sets.orientations import Orientations, rotations_of
+from ikjax.maps.sets.orientations import Orientations
 from ikjax.maps.sets.orientations import from_spec as orientations_from
 from ikjax.maps.sets.positions import Grid, Shell
 from ikjax.maps.sets.surface import Surface
@@ -42,18 +42,16 @@ class ReachMap:
     """
 
     arm: Arm
-    grid: Grid | Shell | Surface
-    """The positions."""
-    directions: Orientations
-    """The set of orientations."""
-    rolls: int
+    positions: Grid | Shell | Surface
+    orientations: Orientations
+    free_rolls: int
     """Turns about the tool's z axis of which one has to be reached; 1 where it must not turn."""
     dtype: str
     """Floating type of the kernel that made it."""
-    told: Mapping[str, dict[str, Any]]
+    statistic_specs: Mapping[str, dict[str, Any]]
     """What the spec says of each statistic: "axes" are those after the positions'."""
     arrays: Mapping[str, Any]
-    """The statistics by name, each (*grid.shape, ...): numpy arrays, or stored ones that are read when
+    """The statistics by name, each (*positions.shape, ...): numpy arrays, or stored ones that are read when
     indexed."""
     seconds: float
     """What the sweep took, without the compile; of one gone on with, what all would take at its last rate."""
@@ -67,7 +65,7 @@ class ReachMap:
 
     @property
     def reachable(self) -> np.ndarray:
-        """int32, grid.shape: orientations with a solution."""
+        """int32, positions.shape: orientations with a solution."""
         return self._read("reachable")
 
     @property
@@ -91,14 +89,14 @@ class ReachMap:
         return self._read("best_margin")
 
     @property
-    def orientations(self) -> int:
+    def orientation_count(self) -> int:
         """Number of orientations at every position."""
-        return self.directions.count
+        return self.orientations.count
 
     @property
     def rotations(self) -> np.ndarray:
         """(m, 3, 3) the orientations; on a surface with normals as they are seen from it."""
-        return rotations_of(self.directions)
+        return self.orientations.rotations
 
     def reached(self, place: tuple[int, ...] | slice = slice(None), within: bool = True) -> np.ndarray:
         """Which orientations are reached, (..., m) bool; needs the statistic `mask_within` or `mask`.
@@ -110,23 +108,23 @@ class ReachMap:
         name = "mask_within" if within else "mask"
         if name not in self.arrays:
             raise ValueError(f"this map was made without {name}, it has {', '.join(self.arrays)}")
-        return statistics.unpacked(np.asarray(self.arrays[name][place]), self.orientations)
+        return statistics.unpacked(np.asarray(self.arrays[name][place]), self.orientation_count)
 
     @property
     def goals(self) -> int:
         """Number of goals solved."""
-        return self.grid.count * self.orientations
+        return self.positions.count * self.orientation_count
 
     @property
     def dexterity(self) -> np.ndarray:
         """Share of orientations reachable within the joint limits, 0 to 1."""
-        return self.reachable_within / self.orientations
+        return self.reachable_within / self.orientation_count
 
     def numbers(self) -> dict[str, Any]:
         """The headline figures, those that the statistics tell: see `summary` for their meaning."""
         told: dict[str, Any] = {
-            "positions": self.grid.count,
-            "orientations": self.orientations,
+            "positions": self.positions.count,
+            "orientations": self.orientation_count,
             "goals": self.goals,
         }
         if "reachable" in self.arrays:
@@ -143,12 +141,12 @@ class ReachMap:
     def _numbers_within(self) -> dict[str, float]:
         hit, dexterity = self.reachable_within > 0, self.dexterity
         axis = np.asarray(self.arm.base, float)
-        away = self.grid.points()[hit] - axis[:3, 3]
+        away = self.positions.points()[hit] - axis[:3, 3]
         across = away - (away @ axis[:3, 2])[:, None] * axis[:3, 2]
         volumes = {}
-        if not isinstance(self.grid, Surface):
-            volumes["volume"] = self.grid.volume(hit)
-            volumes["dexterous_volume"] = self.grid.volume(dexterity >= 0.5)
+        if not isinstance(self.positions, Surface):
+            volumes["volume"] = self.positions.volume(hit)
+            volumes["dexterous_volume"] = self.positions.volume(dexterity >= 0.5)
         return {
             "reach": float(np.linalg.norm(across, axis=1).max(initial=0.0)),
             "height": float((away @ axis[:3, 2]).max(initial=0.0)),
@@ -163,13 +161,19 @@ class ReachMap:
     def summary(self) -> str:
         """The map in a few lines for people."""
         n = self.numbers()
-        rolls = f", free to turn ({self.rolls} tried)" if self.rolls > 1 else ""
+        rolls = f", free to turn ({self.free_rolls} tried)" if self.free_rolls > 1 else ""
         lines = [
-            f"{self.arm.name}: {n['goals']:,} goals, {self.grid.in_words()} "
+            f"{self.arm.name}: {n['goals']:,} goals, {self.positions.in_words()} "
             f"x {n['orientations']:,} orientations{rolls}"
         ]
         if "reach" in n:
-            part = "the points" if "volume" not in n else "the box" if isinstance(self.grid, Grid) else "them"
+            part = (
+                "the points"
+                if "volume" not in n
+                else "the box"
+                if isinstance(self.positions, Grid)
+                else "them"
+            )
             volume = f", {n['volume']:.3f} m^3" if "volume" in n else ""
             half = f"{n['dexterous_volume']:.3f} m^3" if volume else f"{n['positions_dexterous']:.1%} of them"
             lines += [
@@ -190,7 +194,9 @@ class ReachMap:
                 f"  limits cost       {n['goals_reachable']:.1%} of goals fall to "
                 f"{n['goals_reachable_within']:.1%}"
             )
-        kind = f"{self.dtype}{', certified in float64' if manifest.is_certified(self.told) else ''}"
+        kind = (
+            f"{self.dtype}{', certified in float64' if manifest.is_certified(self.statistic_specs) else ''}"
+        )
         lines.append(
             f"  speed             {n['goals_per_second'] / 1e6:.1f} million goals/s, {kind}, "
             f"{n['seconds']:.2f} s"
@@ -207,12 +213,12 @@ class ReachMap:
             import xarray
         except ImportError as error:
             raise ImportError("to_xarray needs xarray: pip install 'ikjax[xarray]'") from error
-        coords = {name: (axes, array) for name, (array, axes) in self.grid.named().items()}
+        coords = {name: (axes, array) for name, (array, axes) in self.positions.named().items()}
         values = {
-            name: ((*self.grid.axes, *self.told[name]["axes"]), value)
+            name: ((*self.positions.axes, *self.statistic_specs[name]["axes"]), value)
             for name, value in self.to_numpy().items()
         }
-        facts = {"arm": self.arm.name, "orientations": self.orientations, "dtype": self.dtype}
+        facts = {"arm": self.arm.name, "orientations": self.orientation_count, "dtype": self.dtype}
         return xarray.Dataset(values, coords=coords, attrs={**facts, "ikjax_schema": manifest.SCHEMA})
 
     def save(self, out, *, chunk=None, force: bool = False) -> None:
@@ -226,11 +232,21 @@ class ReachMap:
         Raises:
             FileExistsError: Something is there.
         """
-        fixed = manifest.fixed(self.grid, self.directions)
+        fixed = manifest.fixed(self.positions, self.orientations)
         study = manifest.of_study(
-            self.arm, self.grid, self.directions, self.rolls, self.dtype, self.told, fixed
+            self.arm,
+            self.positions,
+            self.orientations,
+            self.free_rolls,
+            self.dtype,
+            self.statistic_specs,
+            fixed,
         )
-        chunk = manifest.default_chunk(self.grid.shape, self.orientations) if chunk is None else tuple(chunk)
+        chunk = (
+            manifest.default_chunk(self.positions.shape, self.orientation_count)
+            if chunk is None
+            else tuple(chunk)
+        )
         head = manifest.Head(study, manifest.of_arm(self.arm), chunk, "sweeping", 0.0)
         place, values = Place(out), self.to_numpy()
         with Lock(place):
@@ -256,11 +272,11 @@ class ReachMap:
                 raise ValueError(f"{place}: {name} is not that of its spec")
         return ReachMap(
             arm=manifest.to_arm(head.arm),
-            grid=_positions(head.spec["grid"], known),
-            directions=orientations_from(head.spec["orientations"], known.get("rotations")),
-            rolls=head.spec["rolls"],
+            positions=_positions(head.spec["positions"], known),
+            orientations=orientations_from(head.spec["orientations"], known.get("rotations")),
+            free_rolls=head.spec["free_rolls"],
             dtype=head.spec["dtype"],
-            told=head.spec["statistics"],
+            statistic_specs=head.spec["statistics"],
             arrays={name: arrays[name] for name in head.names},
             seconds=head.seconds,
         )
@@ -271,7 +287,7 @@ def _positions(said: dict, known: dict[str, np.ndarray]) -> Grid | Shell | Surfa
     if said["kind"] == "Surface":
         return Surface(known["points"], known.get("normals"))
     if said["kind"] == "Shell":
-        return Shell(tuple(said["centre"]), tuple(said["radii"]), said["directions"])
+        return Shell(tuple(said["center"]), tuple(said["radii"]), said["directions"])
     return Grid(tuple(said["origin"]), said["spacing"], tuple(said["shape"]))
 
 
@@ -294,7 +310,11 @@ def compare(then: ReachMap, now: ReachMap) -> dict[str, Any]:
     before, after = then.numbers(), now.numbers()
     shared = [name for name, _ in FIGURES if name in before and name in after]
     figures: dict[str, Any] = {name: [before[name], after[name]] for name in shared}
-    if then.grid == now.grid and then.orientations == now.orientations and "reach" in shared:
+    if (
+        then.positions == now.positions
+        and then.orientation_count == now.orientation_count
+        and "reach" in shared
+    ):
         differ = then.reachable_within != now.reachable_within
         figures["positions_that_differ"] = int(differ.sum())
     return figures

@@ -4,7 +4,7 @@ A lane is one number of a goal and the way in which those of many goals become o
 sums of whole numbers, greatest, least, or bits. All of these come out the same in any order. What no
 statistic asked for needs has no lane, so it is neither computed nor stored.
 
-Every name but `best_limit_distance` has a twin with `_within`, for solutions within the joint limits alone:
+Every name but `best_limit_share` has a twin with `_within`, for solutions within the joint limits alone:
 
     reachable, solutions              orientations with a solution; solutions over all orientations
     branches                          orientations that each branch reaches
@@ -12,7 +12,7 @@ Every name but `best_limit_distance` has a twin with `_within`, for solutions wi
     best_margin                       greatest margin [m]; without limits over all slots, valid or not
     best_, mean_manipulability        |det J| in reaches, over solutions; 0 without one
     best_, mean_sigma_min             least singular value of J in reaches, likewise
-    best_limit_distance               of the joint nearest to its limit, 1 in the middle, 0 at the limit,
+    best_limit_share               of the joint nearest to its limit, 1 in the middle, 0 at the limit,
                                       negative beyond it; -inf without a solution
 
 `Near` counts orientations that an arm comes near, `Measure` is a statistic of one's own.
@@ -110,7 +110,7 @@ def certified(plan: Plan) -> Plan:
 
 def available() -> list[str]:
     """Names of statistics: every arm that can be swept has all of them."""
-    return [*(name + end for name in _TWINS for end in ("", "_within")), "best_limit_distance"]
+    return [*(name + end for name in _TWINS for end in ("", "_within")), "best_limit_share"]
 
 
 _TWINS = (
@@ -156,8 +156,8 @@ def _build(arm: Arm, name: str, orientations: int, rolls: int) -> tuple[Statisti
     if base == "best_margin":
         lane = Lane("max", functools.partial(_margin, inside=inside))
         return Statistic("float32", (name,), _column), {name: lane}
-    if base == "best_limit_distance":
-        lane = Lane("max", joint_measures.best_limit_distance, pinned=True)
+    if base == "best_limit_share":
+        lane = Lane("max", joint_measures.best_limit_share, pinned=True)
         return Statistic("float32", (name,), _column), {name: lane}
     kind, _, what = base.partition("_")
     if kind == "best":

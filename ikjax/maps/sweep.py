@@ -41,7 +41,7 @@ def sweep(
     positions: Grid | Shell | Surface,
     orientations,
     *,
-    rolls: int = 1,
+    free_rolls: int = 1,
     dtype=None,
     certify: bool = False,
     statistics: Iterable[str | statistics.Own] = statistics.USUAL,
@@ -56,19 +56,19 @@ def sweep(
 
     Args:
         arm: An arm with a family.
-        positions: `ikjax.grid(...)`, `ikjax.around(arm, spacing)`, `ikjax.shell(...)` or
-            `ikjax.surface(...)`; on a surface with normals orientations are seen from it.
+        positions: `ikjax.maps.grid(...)`, `ikjax.maps.around(arm, spacing)`, `ikjax.maps.shell(...)` or
+            `ikjax.maps.surface(...)`; on a surface with normals orientations are seen from it.
         orientations: A number, for that many even ones over all rotations; rotations (m, 3, 3);
-            `ikjax.hopf(level)` or `ikjax.cone(...)`.
-        rolls: Where the tool may turn about its own z axis: so many turns of each orientation are tried, and
-            it counts as reached if one of them is. Solutions are then those of all turns.
+            `ikjax.maps.hopf(level)` or `ikjax.maps.cone(...)`.
+        free_rolls: Where the tool may turn about its own z axis: so many turns of each orientation are tried,
+            and it counts as reached if one of them is. Solutions are then those of all turns.
         dtype: float32 or float64 of the kernel; by default the arm's.
         certify: Of a float32 sweep: solve those goals again in float64 of which float32 cannot say for sure
             which solutions there are: near a fold, a singularity or a limit. Counts and masks then are those
             of a float64 sweep wherever the two were compared (`benchmarks/maps.py types`). Means keep the
             rounding of float32, greatest and least values are its own. Needs jax_enable_x64; on a CPU it
             costs about what float64 costs.
-        statistics: Which to keep, by name, or as `ikjax.Near(...)` or `ikjax.Measure(...)`: see
+        statistics: Which to keep, by name, or as `ikjax.maps.Near(...)` or `ikjax.maps.Measure(...)`: see
             `maps.statistics`. What is not asked for is not computed.
         out: A folder, or a URL that tensorstore knows, where the map is stored unit by unit.
         resume: Go on with what is at `out`: what cannot be read is computed. Start if nothing is there.
@@ -91,14 +91,14 @@ def sweep(
         StorageError: The store cannot be written; the units before that are whole.
         SweepStoppedError: `stop` gave a reason.
     """
-    dtype = _checked(arm, positions, rolls, dtype, certify)
+    dtype = _checked(arm, positions, free_rolls, dtype, certify)
     # The map keeps the arm that was swept, whatever becomes of arrays that the caller may write to.
     arm = jax.tree.map(lambda leaf: leaf.copy() if isinstance(leaf, np.ndarray) else leaf, arm)
     turns = as_orientations(orientations)
-    plan = _plan(arm.astype(dtype), statistics, turns, rolls, certify)
+    plan = _plan(arm.astype(dtype), statistics, turns, free_rolls, certify)
     fixed = manifest.fixed(positions, turns)
-    study = manifest.of_study(arm, positions, turns, rolls, dtype.name, plan.told(), fixed)
-    kernel = kernel_of(arm, positions, turns, rolls, dtype, plan)
+    study = manifest.of_study(arm, positions, turns, free_rolls, dtype.name, plan.told(), fixed)
+    kernel = kernel_of(arm, positions, turns, free_rolls, dtype, plan)
     wanted = _chunk(chunk, positions.shape, turns.count, kernel)
     head = manifest.Head(study, manifest.of_arm(arm), wanted, "sweeping", 0.0)
 
@@ -108,7 +108,7 @@ def sweep(
     if out is None:
         memory = _Memory(head, plan)
         seconds = work(memory, list(range(len(memory.units))), 0, log.Log(None))
-        return ReachMap(arm, positions, turns, rolls, dtype.name, plan.told(), memory.arrays, seconds)
+        return ReachMap(arm, positions, turns, free_rolls, dtype.name, plan.told(), memory.arrays, seconds)
     begin = functools.partial(store.begin, resume=resume, force=force, chunk_given=chunk is not None)
     with _opened(Place(out), head, fixed, begin) as (crew, disk, good, units, diary):
         stop = crew.heeding(stop)
@@ -158,7 +158,7 @@ def _opened(place: Place, head: manifest.Head, fixed: manifest.Fixed, begin: Cal
         yield crew, disk, flags.astype(bool).tolist(), units, diary
 
 
-def _checked(arm: Arm, positions, rolls: int, dtype, certify: bool) -> np.dtype:
+def _checked(arm: Arm, positions, free_rolls: int, dtype, certify: bool) -> np.dtype:
     check_family(arm)
     if arm.task.startswith("planar"):
         raise ValueError(
@@ -174,8 +174,8 @@ def _checked(arm: Arm, positions, rolls: int, dtype, certify: bool) -> np.dtype:
         raise ValueError(
             f"positions must be at most {MOST_POSITIONS:,} in one sweep, got {positions.count:,}"
         )
-    if isinstance(rolls, bool) or not isinstance(rolls, int) or not 1 <= rolls <= MOST_ROLLS:
-        raise ValueError(f"rolls must be a whole number from 1 to {MOST_ROLLS}, got {rolls}")
+    if isinstance(free_rolls, bool) or not isinstance(free_rolls, int) or not 1 <= free_rolls <= MOST_ROLLS:
+        raise ValueError(f"free_rolls must be a whole number from 1 to {MOST_ROLLS}, got {free_rolls}")
     if certify and dtype != np.float32:
         raise ValueError(f"certify is for float32 sweeps, got dtype {dtype}, which needs none")
     needed = np.dtype(np.float64) if certify else dtype
@@ -185,14 +185,14 @@ def _checked(arm: Arm, positions, rolls: int, dtype, certify: bool) -> np.dtype:
 
 
 def _plan(
-    arm: Arm, names: Iterable[str | statistics.Own], turns: Orientations, rolls: int, certify: bool
+    arm: Arm, names: Iterable[str | statistics.Own], turns: Orientations, free_rolls: int, certify: bool
 ) -> statistics.Plan:
     # Solutions of a position are counted in 31 bits.
-    most = turns.count * rolls * len(arm.branches)
+    most = turns.count * free_rolls * len(arm.branches)
     if most >= 2**31:
         raise ValueError(f"orientations x rolls x branches must be below 2^31, got {most:,}")
     given = [names] if isinstance(names, str | statistics.Own) else names
-    plan = statistics.plan(arm, given, turns.count, rolls)
+    plan = statistics.plan(arm, given, turns.count, free_rolls)
     return statistics.certified(plan) if certify else plan
 
 

@@ -28,8 +28,10 @@ def histogram(reach, name: str = "dexterity", path=None, bins: int = 25):
     """
     plt = pyplot()
     values = np.asarray(reach.dexterity if name == "dexterity" else reach.to_numpy().get(name, ()), float)
-    if values.shape != tuple(reach.grid.shape):
-        some = ", ".join(["dexterity", *(line(k) for k, told in reach.told.items() if not told["axes"])])
+    if values.shape != tuple(reach.positions.shape):
+        some = ", ".join(
+            ["dexterity", *(line(k) for k, told in reach.statistic_specs.items() if not told["axes"])]
+        )
         raise ValueError(f"name must be one of {some}, got {name!r}")
     inside = (reach.reachable_within > 0) & np.isfinite(values)
     found = values[inside]
@@ -37,16 +39,14 @@ def histogram(reach, name: str = "dexterity", path=None, bins: int = 25):
     low, high = (0.0, 1.0) if name == "dexterity" or flat else (found.min(), found.max())
     edges = np.linspace(low, high, bins + 1)
     place = np.clip(np.searchsorted(edges, values, "right") - 1, 0, bins - 1)
-    spread = isinstance(reach.grid, Surface)
-    size = [np.sum(part) if spread else reach.grid.volume(part) for part in _parts(place, inside, bins)]
+    spread = isinstance(reach.positions, Surface)
+    size = [np.sum(part) if spread else reach.positions.volume(part) for part in _parts(place, inside, bins)]
     words = "share of orientations reachable" if name == "dexterity" else picture(name.replace("_", " "))
     with plt.rc_context(STYLE):
         figure, ax = plt.subplots(figsize=(7.2, 3.9), layout="constrained")
         figure.get_layout_engine().set(rect=(0.01, 0.01, 0.98, 0.84))
-        colours = plt.get_cmap(MAP)(np.linspace(0, 1, bins))
-        ax.bar(
-            edges[:-1], size, np.diff(edges), align="edge", color=colours, edgecolor="white", linewidth=0.5
-        )
+        colors = plt.get_cmap(MAP)(np.linspace(0, 1, bins))
+        ax.bar(edges[:-1], size, np.diff(edges), align="edge", color=colors, edgecolor="white", linewidth=0.5)
         if len(found):
             middle = float(np.median(found))
             ax.axvline(middle, color=ACCENT, lw=1.4)

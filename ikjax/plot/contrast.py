@@ -38,9 +38,10 @@ def change(then, now) -> Change:
     Raises:
         ValueError: Maps of other positions.
     """
-    if then.grid != now.grid:
+    if then.positions != now.positions:
         raise ValueError(
-            f"maps must have the same positions, got {then.grid.in_words()} and {now.grid.in_words()}"
+            "maps must have the same positions, "
+            f"got {then.positions.in_words()} and {now.positions.in_words()}"
         )
     a, b = np.asarray(then.dexterity), np.asarray(now.dexterity)
     both = (a > 0) & (b > 0)
@@ -67,19 +68,19 @@ def comparison(then, now, path=None, slices: Sequence[Slice] | None = None):
     """
     plt = pyplot()
     what = change(then, now)
-    if not isinstance(then.grid, Grid) and slices is not None:
-        raise ValueError(f"slices are of a box grid, got {then.grid.in_words()}")
+    if not isinstance(then.positions, Grid) and slices is not None:
+        raise ValueError(f"slices are of a box grid, got {then.positions.in_words()}")
     highest = max(float(np.max(reach.dexterity, initial=0)) for reach in (then, now))
     top = max(0.1, np.ceil(10 * highest) / 10)
     with plt.rc_context(STYLE):
-        draw = _in_slices if isinstance(then.grid, Grid) else _in_points
+        draw = _in_slices if isinstance(then.positions, Grid) else _in_points
         figure, sides, middle = draw(then, now, top, slices)
         axes = list(figure.axes)
         label(
             figure, sides, "share of orientations reachable", [ax for k, ax in enumerate(axes) if k % 3 < 2]
         )
         label(figure, middle, "change of the share", axes[2::3])
-        note = "Dots: gained, strokes: lost." if isinstance(then.grid, Grid) else ""
+        note = "Dots: gained, strokes: lost." if isinstance(then.positions, Grid) else ""
         names = f"{then.arm.name} and {now.arm.name}" if then.arm.name != now.arm.name else now.arm.name
         head(figure, f"{names}, first and second map", f"{what}.   {note}")
     return finish(figure, path)
@@ -105,7 +106,7 @@ def _in_slices(then, now, top: float, slices) -> tuple[Any, Any, Any]:
 
 def _draw_change(ax, then, now, plane: Plane, span: np.ndarray, most: float) -> Any:
     across, up = kept(plane.axis)
-    ticks, half = ticks_of(now), now.grid.spacing / 2
+    ticks, half = ticks_of(now), now.positions.spacing / 2
     frame = (ticks[across][0] - half, ticks[across][-1] + half, ticks[up][0] - half, ticks[up][-1] + half)
     a, b = (np.asarray(reach.dexterity).take(plane.layer, plane.axis).T for reach in (then, now))
     shown = np.ma.masked_where((a == 0) & (b == 0), b - a)
@@ -129,7 +130,7 @@ def _in_points(then, now, top: float, _) -> tuple[Any, Any, Any]:
     figure = pyplot().figure(figsize=(14, 5.2), layout="constrained")
     figure.get_layout_engine().set(rect=(0.005, 0.0, 0.985, 0.86), w_pad=0.14)
     axes = [figure.add_subplot(1, 3, k + 1, projection="3d") for k in range(3)]
-    points = then.grid.points().reshape(-1, 3)
+    points = then.positions.points().reshape(-1, 3)
     for ax, name in zip(axes, ("first", "second", "second \N{MINUS SIGN} first"), strict=True):
         box(ax, points)
         ax.view_init(elev=24, azim=-52)

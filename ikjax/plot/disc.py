@@ -34,7 +34,7 @@ class Ball(NamedTuple):
     """(m,) bool: reached, joint limits left out."""
 
 
-def globe(arm: Arm, points, path=None, *, directions: int = 4000, rolls: int = 12):
+def globe(arm: Arm, points, path=None, *, directions: int = 4000, turns: int = 12):
     """Which ways the tool's z axis can point at some points, and with how many turns about itself.
 
     White cannot be reached; grey can, but not within the joint limits.
@@ -43,7 +43,7 @@ def globe(arm: Arm, points, path=None, *, directions: int = 4000, rolls: int = 1
         arm: An arm whose task is a pose.
         points: (3,) or (k, 3) in the world [m], a column of the picture each.
         path: Where to save the picture.
-        directions, rolls: Of the tool's axis, spread evenly over the sphere, and turns about it.
+        directions, turns: Of the tool's axis, spread evenly over the sphere, and turns about it.
 
     Returns:
         The figure.
@@ -56,34 +56,34 @@ def globe(arm: Arm, points, path=None, *, directions: int = 4000, rolls: int = 1
     if arm.task != "pose":
         raise ValueError(f"a globe needs an arm whose task is pose, {arm.name}'s is {arm.task}")
     places = np.atleast_2d(np.asarray(points, float))
-    tried = cone((0, 0, 1), math.pi, directions, rolls)
+    tried = cone((0, 0, 1), math.pi, directions, turns)
     found = sweep(arm, surface(places), tried, statistics=["mask", "mask_within"])
-    axes = found.rotations[::rolls, :, 2]
+    axes = found.rotations[::turns, :, 2]
     balls = []
     for k, place in enumerate(places):
-        within, anyhow = (found.reached((k,), flag).reshape(directions, rolls) for flag in (True, False))
+        within, anyhow = (found.reached((k,), flag).reshape(directions, turns) for flag in (True, False))
         x, y, z = (f"{c:.2f}".replace("-", "\N{MINUS SIGN}") for c in place)
         title = f"at ({x}, {y}, {z}) m: {within.mean():.0%}"
         balls.append(Ball(title, axes, within.mean(1), np.any(anyhow, axis=1)))
     sides = ("tool's z axis points up", "tool's z axis points down")
     with plt.rc_context(STYLE):
         figure, image = pairs(balls, sides, 1.0)
-        label(figure, image, f"share of {rolls} turns about the tool's axis")
+        label(figure, image, f"share of {turns} turns about the tool's axis")
         said = f"Which ways the tool can point, within the joint limits. {directions:,} directions a point."
         head(figure, arm.name, said)
     return finish(figure, path)
 
 
 def shell_map(reach, path=None):
-    """A shell's map: the directions from its centre as discs, a column for each of up to four radii."""
+    """A shell's map: the directions from its center as discs, a column for each of up to four radii."""
     plt = pyplot()
-    count = len(reach.grid.radii)
+    count = len(reach.positions.radii)
     chosen = np.unique(np.linspace(0, count - 1, min(count, 4)).round().astype(int))
-    unit = reach.grid.named()["direction"][0]
+    unit = reach.positions.named()["direction"][0]
     top = max(0.1, math.ceil(10 * float(np.max(reach.dexterity, initial=0))) / 10)
     balls = [
         Ball(
-            f"radius {reach.grid.radii[k]:.3g} m: {reach.dexterity[k].mean():.0%}",
+            f"radius {reach.positions.radii[k]:.3g} m: {reach.dexterity[k].mean():.0%}",
             unit,
             reach.dexterity[k],
             reach.reachable[k] > 0,
@@ -91,16 +91,17 @@ def shell_map(reach, path=None):
         for k in chosen
     ]
     with plt.rc_context(STYLE):
-        figure, image = pairs(balls, ("above the centre", "below the centre"), top)
+        figure, image = pairs(balls, ("above the center", "below the center"), top)
         label(figure, image, "share of orientations reachable")
-        x, y, z = (f"{c:.2f}".replace("-", "\N{MINUS SIGN}") for c in reach.grid.centre)
-        said = f"{reach.grid.in_words()} about ({x}, {y}, {z}) m × {reach.orientations:,} orientations."
+        x, y, z = (f"{c:.2f}".replace("-", "\N{MINUS SIGN}") for c in reach.positions.center)
+        place = f"{reach.positions.in_words()} about ({x}, {y}, {z}) m"
+        said = f"{place} × {reach.orientation_count:,} orientations."
         head(figure, reach.arm.name, said)
     return finish(figure, path)
 
 
 def pairs(balls: list[Ball], sides: tuple[str, str], top: float) -> tuple[Any, Any]:
-    """Two discs below each other for every ball; the figure and an image for the colour bar."""
+    """Two discs below each other for every ball; the figure and an image for the color bar."""
     plt = pyplot()
     size = (max(3.1 * len(balls) + 1.2, 5.2), 6.9)
     figure, axes = plt.subplots(2, len(balls), figsize=size, layout="constrained", squeeze=False)
@@ -144,7 +145,7 @@ def _disc(ax, ball: Ball, up: bool, top: float):
 
 
 def label(figure, image, text: str, axes=None) -> None:
-    """The colour bar and what it measures, beside some axes or all."""
+    """The color bar and what it measures, beside some axes or all."""
     bar = figure.colorbar(
         image, ax=figure.axes if axes is None else axes, shrink=0.8, aspect=32, pad=0.02, format="{x:.0%}"
     )

@@ -65,13 +65,13 @@ def page(reach: ReachMap, then: ReachMap | None = None, name: str = "map.zarr") 
 
     if then is not None:
         parts.append(f"<h2>Compared</h2>\n{_text(in_words(compare(then, reach), 'the first map'))}")
-    if then is not None and then.grid == reach.grid and _counted(then) and _counted(reach):
+    if then is not None and then.positions == reach.positions and _counted(then) and _counted(reach):
         words = "Orange has lost and purple has gained; dots: newly reached, strokes: no longer reached."
         show("Second against first", words, comparison(then, reach))
     if _counted(reach):
         words = "Share of orientations reached. Grey: beyond the joint limits alone. White: out of reach."
         show("Dexterity", words, reach_map(reach))
-    if _counted(reach) and isinstance(reach.grid, Grid) and min(reach.grid.shape) > 1:
+    if _counted(reach) and isinstance(reach.positions, Grid) and min(reach.positions.shape) > 1:
         words = "Each solid is where at least so large a share of the orientations is reached."
         show("Nested solids", words, nested(reach))
     if _counted(reach):
@@ -95,20 +95,19 @@ def page(reach: ReachMap, then: ReachMap | None = None, name: str = "map.zarr") 
 
 def repeat(reach: ReachMap, name: str) -> str:
     """Commands that make a map again, to be run where `name` is."""
-    few = isinstance(reach.directions, Even | Cone)
-    which = repr(reach.directions) if few else f"{reach.orientations:,} rotations"
-    words = {key: _statistic(key, told) for key, told in reach.told.items()}
+    few = isinstance(reach.orientations, Even | Cone)
+    which = repr(reach.orientations) if few else f"{reach.orientation_count:,} rotations"
+    words = {key: _statistic(key, told) for key, told in reach.statistic_specs.items()}
     names = ", ".join(words.values())
     own = [key for key, word in words.items() if word == key]
-    given = "".join(f"{key} = ...  # the ikjax.Measure of that name, as it was\n" for key in own)
-    certify = ", certify=True" if manifest.is_certified(reach.told) else ""
+    given = "".join(f"{key} = ...  # the ikjax.maps.Measure of that name, as it was\n" for key in own)
+    certify = ", certify=True" if manifest.is_certified(reach.statistic_specs) else ""
     shell = shlex.quote(name)
     return f"""\
-# in Python: the same arm, positions and orientations ({which})
-import ikjax, jax
-jax.config.update("jax_enable_x64", True)
-{given}old = ikjax.ReachMap.load({name!r})
-new = ikjax.sweep(old.arm, old.grid, old.directions, rolls={reach.rolls}, dtype={reach.dtype!r}{certify},
+# in Python: the same arm, positions and orientations ({which}) import ikjax, jax
+jax.config.update("jax_enable_x64", True) {given}old = ikjax.ReachMap.load({name!r}) new =
+ikjax.sweep(old.arm, old.positions, old.orientations, free_rolls={reach.free_rolls},
+dtype={reach.dtype!r}{certify},
                   statistics=[{names}], out="again.zarr")
 assert all(new.to_numpy()[k].tobytes() == v.tobytes() for k, v in old.to_numpy().items())
 
@@ -121,7 +120,7 @@ def _statistic(key: str, told: dict) -> str:
     """A statistic in Python; of a measure of one's own its name, as a variable."""
     if "near" in told:
         position, rotation = told["near"]
-        return f"ikjax.Near({position!r}, {rotation!r}, {key!r})"
+        return f"ikjax.maps.Near({position!r}, {rotation!r}, {key!r})"
     return repr(key) if key in statistics.available() else key
 
 
@@ -135,13 +134,13 @@ def _places(reach: ReachMap) -> np.ndarray:
     share = np.ravel(reach.dexterity)
     order = np.argsort(share, kind="stable")[int((share == 0).sum()) :]
     chosen = [order[-1], order[len(order) // 2], order[0]] if len(order) else []
-    return reach.grid.points().reshape(-1, 3)[list(dict.fromkeys(chosen))]
+    return reach.positions.points().reshape(-1, 3)[list(dict.fromkeys(chosen))]
 
 
 def _study(reach: ReachMap) -> dict:
-    fixed = manifest.fixed(reach.grid, reach.directions)
-    parts = (reach.arm, reach.grid, reach.directions, reach.rolls, reach.dtype)
-    return manifest.of_study(*parts, reach.told, fixed)
+    fixed = manifest.fixed(reach.positions, reach.orientations)
+    parts = (reach.arm, reach.positions, reach.orientations, reach.free_rolls, reach.dtype)
+    return manifest.of_study(*parts, reach.statistic_specs, fixed)
 
 
 def _text(words: str) -> str:

@@ -26,7 +26,7 @@ class Plane(NamedTuple):
 
 def ticks_of(reach) -> tuple[np.ndarray, ...]:
     """The grid's coordinates along x, y and z [m]."""
-    grid = reach.grid
+    grid = reach.positions
     return tuple(float(o) + grid.spacing * np.arange(n) for o, n in zip(grid.origin, grid.shape, strict=True))
 
 

@@ -14,7 +14,7 @@ VIEWS = (("seen from +x, \N{MINUS SIGN}y", -52), ("seen from \N{MINUS SIGN}x, +y
 
 
 def point_map(reach, path=None, q=None):
-    """The points coloured by dexterity from two sides, with the arm at its most dexterous one."""
+    """The points colored by dexterity from two sides, with the arm at its most dexterous one."""
     plt = pyplot()
     top = max(0.1, math.ceil(10 * float(np.max(reach.dexterity, initial=0))) / 10)
     body = sticks(reach.arm, _posture(reach) if q is None else q)
@@ -23,17 +23,18 @@ def point_map(reach, path=None, q=None):
         figure.get_layout_engine().set(rect=(0.005, 0.0, 0.985, 0.88))
         for k, (name, azimuth) in enumerate(VIEWS):
             ax = figure.add_subplot(1, 2, k + 1, projection="3d", computed_zorder=False)
-            box(ax, np.concatenate([reach.grid.points(), body.line]), 1.05)
+            box(ax, np.concatenate([reach.positions.points(), body.line]), 1.05)
             ax.view_init(elev=24, azim=azimuth)
             ax.set_title(name, fontweight="bold", color=INK, y=0.98)
             image = scatter(ax, reach, reach.dexterity, {"cmap": MAP, "vmin": 0, "vmax": top})
             draw_3d(ax, body, INK, 2.6)
         label(figure, image, "share of orientations reachable")
         hit = float((reach.dexterity > 0).mean())
-        seen = ", seen from the surface" if getattr(reach.grid, "normals", None) is not None else ""
+        seen = ", seen from the surface" if getattr(reach.positions, "normals", None) is not None else ""
         said = (
-            f"{hit:.0%} of {reach.grid.in_words()} reached within the joint limits, in "
-            f"{float(reach.dexterity.mean()):.0%} of {reach.orientations:,} orientations{seen}, on average."
+            f"{hit:.0%} of {reach.positions.in_words()} reached within the joint limits, in "
+            f"{float(reach.dexterity.mean()):.0%} of {reach.orientation_count:,} orientations{seen}, "
+            "on average."
         )
         head(figure, reach.arm.name, said)
         from matplotlib.lines import Line2D
@@ -49,12 +50,12 @@ def point_map(reach, path=None, q=None):
     return finish(figure, path)
 
 
-def scatter(ax, reach, values: np.ndarray, colours: dict[str, Any]) -> Any:
-    """Points that are reached in colours, others as rings; the coloured ones, for a colour bar.
+def scatter(ax, reach, values: np.ndarray, colors: dict[str, Any]) -> Any:
+    """Points that are reached in colors, others as rings; the colored ones, for a color bar.
 
     Of a surface with normals only what faces the viewer is drawn: the rest is behind it.
     """
-    points = reach.grid.points().reshape(-1, 3)
+    points = reach.positions.points().reshape(-1, 3)
     size = float(np.clip(14000 / len(points), 2, 40))
     ahead = facing(ax, reach)
     points, values = points[ahead], np.ravel(values)[ahead]
@@ -63,14 +64,14 @@ def scatter(ax, reach, values: np.ndarray, colours: dict[str, Any]) -> Any:
     ax.scatter(*points[~anyhow].T, s=size, c="white", edgecolors=INK, **ring)
     ax.scatter(*points[anyhow & ~within].T, s=size, c=PALE, edgecolors="#9a9a9a", **ring)
     plain = {"depthshade": False, "linewidths": 0, "zorder": 2}
-    return ax.scatter(*points[within].T, s=size, c=values[within], **plain, **colours)
+    return ax.scatter(*points[within].T, s=size, c=values[within], **plain, **colors)
 
 
 def facing(ax, reach) -> np.ndarray:
     """Which points a viewer of the axis sees, (n,) bool: all where there are no normals."""
-    normals = getattr(reach.grid, "normals", None)
+    normals = getattr(reach.positions, "normals", None)
     if normals is None:
-        return np.ones(reach.grid.count, bool)
+        return np.ones(reach.positions.count, bool)
     up, around = np.radians([ax.elev, ax.azim])
     return normals @ [np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)] > 0
 
@@ -79,7 +80,7 @@ def _posture(reach) -> np.ndarray:
     """The arm at its most dexterous point, its links as high as can be."""
     arm, dexterity = reach.arm, np.ravel(reach.dexterity)
     k = int(np.argmax(dexterity))
-    frames = reach.grid.frames()
-    place = reach.grid.points().reshape(-1, 3)[k] if dexterity[k] > 0 else None
+    frames = reach.positions.frames()
+    place = reach.positions.points().reshape(-1, 3)[k] if dexterity[k] > 0 else None
     frame = None if frames is None else frames[k]
     return best_posture(arm, place, lambda q: float(sticks(arm, q).line[:, 2].mean()), frame)

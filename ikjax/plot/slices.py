@@ -1,4 +1,4 @@
-"""A box grid's map in slices, coloured by dexterity, with the arm in them."""
+"""A box grid's map in slices, colored by dexterity, with the arm in them."""
 
 from collections.abc import Sequence
 
@@ -14,7 +14,7 @@ from ikjax.plot.style import INK, MAP, PALE, STYLE, finish, flat, pyplot
 
 
 def reach_map(reach, path=None, q=None, slices: Sequence[Slice] | None = None):
-    """A workspace coloured by dexterity: a box grid in slices with the arm in the largest, a shell as discs
+    """A workspace colored by dexterity: a box grid in slices with the arm in the largest, a shell as discs
     of equal area, a surface or a list as points beside the arm.
 
     White cannot be reached; grey can, but not within the joint limits.
@@ -34,10 +34,10 @@ def reach_map(reach, path=None, q=None, slices: Sequence[Slice] | None = None):
         ValueError: A slice that is not ("x", "y" or "z", metres), or one of what is no box grid.
     """
     plt = pyplot()
-    if not isinstance(reach.grid, Grid):
+    if not isinstance(reach.positions, Grid):
         if slices is not None:
-            raise ValueError(f"slices are of a box grid, got {reach.grid.in_words()}")
-        return shell_map(reach, path) if isinstance(reach.grid, Shell) else point_map(reach, path, q)
+            raise ValueError(f"slices are of a box grid, got {reach.positions.in_words()}")
+        return shell_map(reach, path) if isinstance(reach.positions, Shell) else point_map(reach, path, q)
     planes = [plane_of(reach, piece) for piece in (usual(reach) if slices is None else slices)]
     body = sticks(reach.arm, posture(reach, planes[0]) if q is None else q)
     span = span_of(reach, body.line)
@@ -59,11 +59,11 @@ def reach_map(reach, path=None, q=None, slices: Sequence[Slice] | None = None):
 def span_of(reach, line: np.ndarray) -> np.ndarray:
     """(3, 2) what the panels show [m]: all that can be reached, and some points."""
     cells = np.argwhere(np.asarray(reach.reachable) > 0)
-    corners = np.asarray(reach.grid.origin, float) + reach.grid.spacing * np.array(
-        [cells.min(0), cells.max(0)] if len(cells) else [np.zeros(3), np.subtract(reach.grid.shape, 1)]
+    corners = np.asarray(reach.positions.origin, float) + reach.positions.spacing * np.array(
+        [cells.min(0), cells.max(0)] if len(cells) else [np.zeros(3), np.subtract(reach.positions.shape, 1)]
     )
     points = np.concatenate([corners, line])
-    return np.stack([points.min(0), points.max(0)], axis=1) + np.array([-1.5, 1.5]) * reach.grid.spacing
+    return np.stack([points.min(0), points.max(0)], axis=1) + np.array([-1.5, 1.5]) * reach.positions.spacing
 
 
 def panels(figure, count: int) -> list:
@@ -80,9 +80,9 @@ def panels(figure, count: int) -> list:
 
 
 def draw_plane(ax, reach, plane: Plane, span: np.ndarray, top: float):
-    """One layer's dexterity; the image, for the colour bar."""
+    """One layer's dexterity; the image, for the color bar."""
     across, up = kept(plane.axis)
-    ticks, half = ticks_of(reach), reach.grid.spacing / 2
+    ticks, half = ticks_of(reach), reach.positions.spacing / 2
     frame = [ticks[across][0] - half, ticks[across][-1] + half, ticks[up][0] - half, ticks[up][-1] + half]
 
     def layer(values) -> np.ndarray:
@@ -113,12 +113,13 @@ def _mark(ax, planes: list[Plane]) -> None:
 
 def _head(figure, reach) -> None:
     """The arm's name, what the map says in numbers, and what grey means."""
-    volume = float((np.asarray(reach.reachable_within) > 0).sum() * reach.grid.spacing**3)
+    volume = float((np.asarray(reach.reachable_within) > 0).sum() * reach.positions.spacing**3)
     best = float(np.max(reach.dexterity, initial=0))
     said = (
         f"{volume:.3g} m³ within reach and joint limits; at best {best:.0%} of orientations.   "
-        f"{reach.goals:,} goals: {reach.grid.count:,} positions {reach.grid.spacing * 1000:.3g} mm apart "
-        f"× {reach.orientations:,} orientations."
+        f"{reach.goals:,} goals: {reach.positions.count:,} positions "
+        f"{reach.positions.spacing * 1000:.3g} mm apart "
+        f"× {reach.orientation_count:,} orientations."
     )
     left = {"x": 0.012, "ha": "left", "va": "top"}
     figure.suptitle(picture(reach.arm.name), y=0.985, fontsize=16, fontweight="bold", **left)

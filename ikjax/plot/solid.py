@@ -87,8 +87,8 @@ def nested(reach, path=None, levels=(0.0, 0.25, 0.5, 0.75), q=None):
         ValueError: A map of no box grid, or one of fewer than two layers.
     """
     plt = pyplot()
-    if not isinstance(reach.grid, Grid) or min(reach.grid.shape) < 2:
-        raise ValueError(f"solids need a box grid of two layers or more, got {reach.grid.in_words()}")
+    if not isinstance(reach.positions, Grid) or min(reach.positions.shape) < 2:
+        raise ValueError(f"solids need a box grid of two layers or more, got {reach.positions.in_words()}")
     base = np.asarray(reach.arm.base, float)[:3, 3]
     body = sticks(reach.arm, posture(reach, plane_of(reach, ("y", base[1]))) if q is None else q)
     dexterity = np.asarray(reach.dexterity, float)
@@ -96,7 +96,7 @@ def nested(reach, path=None, levels=(0.0, 0.25, 0.5, 0.75), q=None):
     # What has no position, or just those of the level before, is no further solid.
     sizes = [int((dexterity >= max(level, 1e-9)).sum()) for level in levels]
     chosen = [level for k, level in enumerate(levels) if sizes[k] and sizes[k] not in sizes[:k]]
-    step = max(1, -(-max(reach.grid.shape) // MOST_CELLS))
+    step = max(1, -(-max(reach.positions.shape) // MOST_CELLS))
     field, ticks = _thinned(dexterity, ticks_of(reach), step)
     # Where the dexterity ends at once, the surface is half way between the last position and the next.
     least = 0.5 * float(dexterity[dexterity > 0].min(initial=1))
@@ -105,8 +105,8 @@ def nested(reach, path=None, levels=(0.0, 0.25, 0.5, 0.75), q=None):
         figure = plt.figure(figsize=(4.1 * columns + 1.0, 5.3), layout="constrained")
         figure.get_layout_engine().set(rect=(0.005, 0.0, 0.985, 0.87), w_pad=0.12)
         hit = np.argwhere(dexterity > 0)
-        ends = np.array(reach.grid.origin) + reach.grid.spacing * (
-            np.stack([hit.min(0), hit.max(0)]) if len(hit) else np.array([[0] * 3, reach.grid.shape])
+        ends = np.array(reach.positions.origin) + reach.positions.spacing * (
+            np.stack([hit.min(0), hit.max(0)]) if len(hit) else np.array([[0] * 3, reach.positions.shape])
         )
         for k in range(columns):
             ax = figure.add_subplot(1, columns, k + 1, projection="3d", computed_zorder=False)
@@ -114,16 +114,16 @@ def nested(reach, path=None, levels=(0.0, 0.25, 0.5, 0.75), q=None):
             ax.view_init(elev=24, azim=-52)
             if chosen:
                 _solid(ax, field, ticks, max(chosen[k], least), base, best)
-                volume = reach.grid.volume(dexterity >= max(chosen[k], 1e-9))
+                volume = reach.positions.volume(dexterity >= max(chosen[k], 1e-9))
                 name = f"at least {chosen[k]:.0%}" if chosen[k] else "reached at all"
                 ax.set_title(f"{name}: {volume:.3g} m³", fontweight="bold", color=INK, y=0.98)
             draw_3d(ax, body, INK, 2.2)
         image = plt.cm.ScalarMappable(plt.Normalize(0, best or 1), MAP)
         label(figure, image, "share of orientations reachable")
-        thin = f", drawn every {step * reach.grid.spacing * 1000:.3g} mm" if step > 1 else ""
+        thin = f", drawn every {step * reach.positions.spacing * 1000:.3g} mm" if step > 1 else ""
         said = (
-            f"Where the tool reaches so many of {reach.orientations:,} orientations within the joint limits, "
-            f"a quarter cut out.   {reach.grid.in_words()}{thin}."
+            f"Where the tool reaches so many of {reach.orientation_count:,} orientations within the joint "
+            f"limits, a quarter cut out.   {reach.positions.in_words()}{thin}."
         )
         head(figure, reach.arm.name, said)
     return finish(figure, path)
@@ -152,15 +152,15 @@ def _solid(ax, field: np.ndarray, ticks, level: float, base: np.ndarray, best: f
     triangles, normals = triangles[size[:, 0] > 1e-12], normals[size[:, 0] > 1e-12] / size[size[:, 0] > 1e-12]
     shade = 0.62 + 0.38 * np.clip(normals @ LIGHT, 0, 1)[:, None]
     faces = [*triangles]
-    colours = [*(np.array(to_rgb("#b9c4d0")) * shade)]
+    colors = [*(np.array(to_rgb("#b9c4d0")) * shade)]
     for axis in range(2):
         quads, values = _section(field, cut, axis, level)
         faces += [*quads]
-        colours += [*pyplot().get_cmap(MAP)(values / best)[:, :3]]
+        colors += [*pyplot().get_cmap(MAP)(values / best)[:, :3]]
     low, gap = np.array([t[0] for t in ticks]), np.array([t[1] - t[0] for t in ticks])
     world = [low + gap * face for face in faces]
-    # Edges in the colour of their face close the seams between neighbours.
-    ax.add_collection3d(Poly3DCollection(world, facecolors=colours, edgecolors=colours, linewidths=0.25))
+    # Edges in the color of their face close the seams between neighbors.
+    ax.add_collection3d(Poly3DCollection(world, facecolors=colors, edgecolors=colors, linewidths=0.25))
 
 
 def _section(field: np.ndarray, cut: list[int], axis: int, level: float, fine: int = 2):
@@ -169,10 +169,10 @@ def _section(field: np.ndarray, cut: list[int], axis: int, level: float, fine: i
     layer = layer[: cut[1] + 1] if axis == 0 else layer[cut[0] :]
     first = 0 if axis == 0 else cut[0]
     i, j = (np.arange((n - 1) * fine) for n in layer.shape)
-    centre = np.meshgrid((i + 0.5) / fine, (j + 0.5) / fine, indexing="ij")
-    values = ndimage.map_coordinates(layer, centre, order=0)
+    center = np.meshgrid((i + 0.5) / fine, (j + 0.5) / fine, indexing="ij")
+    values = ndimage.map_coordinates(layer, center, order=0)
     keep = values >= level
-    across, up = first + centre[0][keep], centre[1][keep]
+    across, up = first + center[0][keep], center[1][keep]
     half = 0.5 / fine
     around = [(-half, -half), (half, -half), (half, half), (-half, half)]
     square = np.stack([np.stack([across + a, up + b], -1) for a, b in around], 1)

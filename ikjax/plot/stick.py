@@ -9,7 +9,7 @@ from ikjax.arm.forward import fk, frames
 from ikjax.core.text import picture
 from ikjax.ik.select import within_limits
 from ikjax.ik.solve import solve
-from ikjax.plot.style import ACCENT, COLOURS, INK, STYLE, TRIAD, finish, pyplot
+from ikjax.plot.style import ACCENT, COLORS, INK, STYLE, TRIAD, finish, pyplot
 
 
 class Sticks(NamedTuple):
@@ -38,14 +38,14 @@ def sticks_of(arm: Arm, stations: np.ndarray, tip: np.ndarray) -> Sticks:
     return Sticks(np.array(line), origins[:-1], tool)
 
 
-def arm(arm: Arm, q, ax=None, *, colour: str = COLOURS[0], width: float = 3.0):
+def arm(arm: Arm, q, ax=None, *, color: str = COLORS[0], width: float = 3.0):
     """A stick figure on a 3-D axis, with its shadow where the axis has a floor.
 
     Args:
         arm: The arm.
         q: Joint values [rad, m], (n,).
         ax: A 3-D axis; a new figure's by default. Set its limits first: the shadow falls on them.
-        colour, width: Of the links.
+        color, width: Of the links.
 
     Returns:
         The axis.
@@ -59,27 +59,27 @@ def arm(arm: Arm, q, ax=None, *, colour: str = COLOURS[0], width: float = 3.0):
         with plt.rc_context(STYLE):
             ax = plt.figure(figsize=(5, 5)).add_subplot(projection="3d")
             box(ax, body.line)
-    draw_3d(ax, body, colour, width)
+    draw_3d(ax, body, color, width)
     return ax
 
 
-def draw_3d(ax, body: Sticks, colour: str, width: float) -> None:
+def draw_3d(ax, body: Sticks, color: str, width: float) -> None:
     floor = ax.get_zlim()[0]
     x, y, z = body.line.T
     ax.plot(x, y, np.full_like(z, floor), color="#bbbbbb", lw=width * 0.7, alpha=0.6, zorder=1)
     line = {"solid_capstyle": "round", "solid_joinstyle": "round"}
-    ax.plot(x, y, z, color=colour, lw=width, zorder=3, **line)
+    ax.plot(x, y, z, color=color, lw=width, zorder=3, **line)
     ax.plot(*body.line[0], "s", color=INK, ms=2.2 * width, zorder=4)
-    ax.plot(*body.joints.T, "o", color="white", mec=colour, mew=0.35 * width, ms=1.5 * width, zorder=5)
+    ax.plot(*body.joints.T, "o", color="white", mec=color, mew=0.35 * width, ms=1.5 * width, zorder=5)
     ax.plot(*body.tool, "D", color=INK, ms=1.2 * width, zorder=6)
 
 
 def box(ax, points: np.ndarray, zoom: float = 0.94) -> None:
     """A cube around all points, so that lengths are equal on the three axes."""
     low, high = points.min(0), points.max(0)
-    centre, half = (low + high) / 2, 0.55 * max(float((high - low).max()), 1e-9)
+    center, half = (low + high) / 2, 0.55 * max(float((high - low).max()), 1e-9)
     for k, letter in enumerate("xyz"):
-        getattr(ax, f"set_{letter}lim")(centre[k] - half, centre[k] + half)
+        getattr(ax, f"set_{letter}lim")(center[k] - half, center[k] + half)
         getattr(ax, f"set_{letter}label")(f"{letter} [m]", fontsize=7, labelpad=-7)
     ax.set_box_aspect((1, 1, 1), zoom=zoom)
     ax.tick_params(labelsize=6, pad=-3)
@@ -135,7 +135,7 @@ def branches(arm: Arm, goal, path=None):
             state = "within limits" if inside[slot] else "outside limits" if valid else "does not reach"
             name = picture(arm.branches[slot])
             ax.set_title(f"{slot}  {name}\n{state}", color=INK if valid else "#999999", y=0.96)
-            draw_3d(ax, body, COLOURS[slot % len(COLOURS)] if valid else "#b8b8b8", 2.6)
+            draw_3d(ax, body, COLORS[slot % len(COLORS)] if valid else "#b8b8b8", 2.6)
             _triad(ax, goal, 0.13 * float(np.ptp(points, axis=0).max()))
         found, share = int(np.sum(sol.valid)), int(np.sum(inside))
         title = (
@@ -147,5 +147,5 @@ def branches(arm: Arm, goal, path=None):
 
 def _triad(ax, goal: np.ndarray, length: float) -> None:
     tail = goal[:3, 3]
-    for axis, colour in zip(goal[:3, :3].T, TRIAD, strict=True):
-        ax.plot(*np.stack([tail, tail + length * axis]).T, color=colour, lw=1.8, zorder=7)
+    for axis, color in zip(goal[:3, :3].T, TRIAD, strict=True):
+        ax.plot(*np.stack([tail, tail + length * axis]).T, color=color, lw=1.8, zorder=7)

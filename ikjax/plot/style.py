@@ -1,16 +1,16 @@
-"""What all pictures share: colours, type sizes, and how a figure ends."""
+"""What all pictures share: colors, type sizes, and how a figure ends."""
 
 from typing import Any
 
 DPI = 200
 # Lightness rises all along, so it prints in grey and needs no hue to be read.
 MAP = "viridis"
-# Orange and purple are told apart by all kinds of colour blindness; what is printed grey has hatching too.
+# Orange and purple are told apart by all kinds of color blindness; what is printed grey has hatching too.
 DIVERGING = "PuOr"
 INK, PALE, ACCENT = "#1b1b1b", "#e3e3e3", "#d1495b"
 TRIAD = ("#d1495b", "#2a9d5c", "#2f6fde")
-# Okabe and Ito's colours, told apart by colour-blind readers; their yellow is too pale for lines.
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7a4fb5", "#6b6b00")
+# Okabe and Ito's colors, told apart by color-blind readers; their yellow is too pale for lines.
+COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7a4fb5", "#6b6b00")
 STYLE = {"font.size": 9, "axes.titlesize": 9, "axes.edgecolor": "#888888", "axes.linewidth": 0.6}
 # Names are escaped for matplotlib's own text; TeX would run them as a program.
 STYLE |= {"text.usetex": False}
@@ -43,7 +43,7 @@ def file_types() -> tuple[str, ...]:
     return tuple(sorted(canvas.get_supported_filetypes()))
 
 
-def flat(colour: str):
+def flat(color: str):
     from matplotlib.colors import ListedColormap
 
-    return ListedColormap([colour])
+    return ListedColormap([color])

@@ -21,11 +21,11 @@ from ikjax.ik.solve import solve
 from ikjax.maps.sets.positions import Grid
 from ikjax.plot.planes import Plane, kept, plane_of, posture, ticks_of
 from ikjax.plot.stick import sticks_of
-from ikjax.plot.style import COLOURS, MAP
+from ikjax.plot.style import COLORS, MAP
 
 HOST = "127.0.0.1"
 OUTSIDE = (150, 150, 150)
-"""Colour of branches that are outside the joint limits."""
+"""Color of branches that are outside the joint limits."""
 
 
 class Skeleton(NamedTuple):
@@ -56,15 +56,15 @@ def skeletons(arm: Arm, goal) -> list[Skeleton]:
 
 
 def slice_image(reach, plane: Plane) -> np.ndarray:
-    """A layer as colours (rows, columns, 4) uint8, its first row on top; clear where nothing is reached."""
+    """A layer as colors (rows, columns, 4) uint8, its first row on top; clear where nothing is reached."""
     from matplotlib import colormaps
 
     share = np.asarray(reach.dexterity).take(plane.layer, plane.axis).T[::-1]
     anyhow = np.asarray(reach.reachable).take(plane.layer, plane.axis).T[::-1] > 0
-    colours = colormaps[MAP](share / max(float(np.max(reach.dexterity)), 1e-9))
-    colours[share == 0] = (0, 0, 0, 0)
-    colours[(share == 0) & anyhow] = (0.7, 0.7, 0.7, 0.5)
-    return (255 * colours).round().astype(np.uint8)
+    colors = colormaps[MAP](share / max(float(np.max(reach.dexterity)), 1e-9))
+    colors[share == 0] = (0, 0, 0, 0)
+    colors[(share == 0) & anyhow] = (0.7, 0.7, 0.7, 0.5)
+    return (255 * colors).round().astype(np.uint8)
 
 
 def quaternion(rotation: np.ndarray) -> np.ndarray:
@@ -93,8 +93,8 @@ class Viewer:
     """
 
     def __init__(self, reach, port: int = 8080, server: Any = None):
-        if not isinstance(reach.grid, Grid):
-            raise ValueError(f"the viewer shows box grids, got {reach.grid.in_words()}")
+        if not isinstance(reach.positions, Grid):
+            raise ValueError(f"the viewer shows box grids, got {reach.positions.in_words()}")
         if reach.arm.family is None:
             raise ValueError(f"the viewer needs an arm with a closed form, {reach.arm.name} has none")
         # Read once: a slice is drawn at every move of the slider.
@@ -112,7 +112,8 @@ class Viewer:
         camera.position, camera.look_at = base + self.size * np.array([0.55, -1.05, 0.45]), base
         scene.add_frame("/base", axes_length=0.08 * self.size, axes_radius=0.004 * self.size, position=base)
         gui.add_markdown(
-            f"**{markdown(self.arm.name)}**: {reach.grid.in_words()} x {reach.orientations:,} orientations. "
+            f"**{markdown(self.arm.name)}**: {reach.positions.in_words()} x {reach.orientation_count:,} "
+            "orientations. "
             "A click on the slice puts the goal there; its handles move and turn it."
         )
         self.axis = gui.add_dropdown("Slice square to", ("x", "y", "z"), initial_value="y")
@@ -137,12 +138,12 @@ class Viewer:
     def draw_slice(self) -> None:
         """Put the slice where the slider says."""
         axis = "xyz".index(self.axis.value)
-        ticks, half = ticks_of(self.reach), self.reach.grid.spacing / 2
+        ticks, half = ticks_of(self.reach), self.reach.positions.spacing / 2
         at = ticks[axis][0] + float(self.layer.value) * (ticks[axis][-1] - ticks[axis][0])
         plane = plane_of(self.reach, (self.axis.value, at))
         across, up = kept(axis)
-        centre = np.array([(tick[0] + tick[-1]) / 2 for tick in ticks])
-        centre[axis] = plane.at
+        center = np.array([(tick[0] + tick[-1]) / 2 for tick in ticks])
+        center[axis] = plane.at
         self.plane = plane
         width, height = (float(ticks[k][-1] - ticks[k][0] + 2 * half) for k in (across, up))
         with self._lock:
@@ -152,7 +153,7 @@ class Viewer:
                 width,
                 height,
                 wxyz=quaternion(stand(axis)),
-                position=centre,
+                position=center,
                 cast_shadow=False,
                 receive_shadow=False,
                 format="png",
@@ -178,11 +179,11 @@ class Viewer:
                 if skeleton is None or (self.limited.value and not skeleton.within):
                     self.server.scene.remove_by_name(name)
                     continue
-                colour = _rgb(COLOURS[slot % len(COLOURS)]) if skeleton.within else OUTSIDE
+                color = _rgb(COLORS[slot % len(COLORS)]) if skeleton.within else OUTSIDE
                 # Branches that differ in the wrist alone lie in one place: those within the limits show.
                 thick = (0.006 if skeleton.within else 0.003) * self.size
                 lines = skeleton.lines.astype(np.float32)
-                self.server.scene.add_line_segments(name, lines, colour, thickness=thick)
+                self.server.scene.add_line_segments(name, lines, color, thickness=thick)
             names = "\n".join(
                 f"- {markdown(self.arm.branches[k])}{'' if each.within else ' (outside the limits)'}"
                 for k, each in found.items()
@@ -210,6 +211,6 @@ def _server(port: int) -> Any:
     return viser.ViserServer(host=HOST, port=port, verbose=False)
 
 
-def _rgb(colour: str) -> tuple[int, int, int]:
-    red, green, blue = (int(colour[k : k + 2], 16) for k in (1, 3, 5))
+def _rgb(color: str) -> tuple[int, int, int]:
+    red, green, blue = (int(color[k : k + 2], 16) for k in (1, 3, 5))
     return red, green, blue

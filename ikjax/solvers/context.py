@@ -53,7 +53,7 @@ class Setting(NamedTuple):
     noise: Scalar
     """What rounding may have taken from a length, and what the arm is off by."""
     off: Scalar
-    """What the arm as given is off by, in lengths and angles: zero for the arm as recognised."""
+    """What the arm as given is off by, in lengths and angles: zero for the arm as recognized."""
 
     @property
     def rounding(self) -> float:

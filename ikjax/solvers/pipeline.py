@@ -63,7 +63,7 @@ class Slot(NamedTuple):
 def as_solved(arm: Arm) -> Arm:
     """The arm without a correction that is too small for `valid` to see in the arm's type.
 
-    A hundredth of the tolerance is below what decides; the arm as recognised is solved at full speed.
+    A hundredth of the tolerance is below what decides; the arm as recognized is solved at full speed.
     """
     if arm.correction is None or is_traced(arm):
         return arm
@@ -95,7 +95,7 @@ class Frame(NamedTuple):
     """What each link but the last is off by, at its end; see `Arm.correction`."""
     off: Scalar
     """A small part of all that they are off by: enough to bend an elbow that has to be straight on the
-    arm as recognised and need not be on the arm as given."""
+    arm as recognized and need not be on the arm as given."""
 
 
 def prepare(arm: Arm) -> Frame:
@@ -195,7 +195,7 @@ def solve_scalars(
 def proposed(arm: Arm, goal: Pose) -> list[tuple[Scalar, ...]]:
     """Joints of every slot, for a goal that need not be reached: as near as the closed form comes.
 
-    Arguments as in `solve_scalars`. Nothing is measured, and the arm is taken as recognised.
+    Arguments as in `solve_scalars`. Nothing is measured, and the arm is taken as recognized.
     """
     frame, tip, setting = _set(arm, goal, None)
     family = FAMILIES[str(arm.family)]

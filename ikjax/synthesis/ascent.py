@@ -48,7 +48,7 @@ class Plan:
     parameters: Parameters
     objective: Objective
     constraints: tuple[Constraint, ...]
-    optimiser: optax.GradientTransformation
+    optimizer: optax.GradientTransformation
     limits: bool
     batch: int | None
     together: int
@@ -76,7 +76,7 @@ class State:
     z: jax.Array
     """(starts, k)"""
     memory: Any
-    """Of the optimiser."""
+    """Of the optimizer."""
     multipliers: jax.Array
     """(starts, c)"""
 
@@ -84,7 +84,7 @@ class State:
 @functools.partial(jax.jit, static_argnums=0)
 def started(plan: Plan, z: jax.Array) -> State:
     multipliers = jax.vmap(lambda z: jnp.zeros_like(plan.over(z)))(z)
-    return State(z, jax.vmap(plan.optimiser.init)(z), multipliers)
+    return State(z, jax.vmap(plan.optimizer.init)(z), multipliers)
 
 
 @functools.partial(jax.jit, static_argnums=0)
@@ -110,9 +110,9 @@ def chunk(plan: Plan, state: State, goals, keys, blurs, pull):
             return jnp.where(sound, slope, 0), score
 
         slopes, scores = jax.lax.map(slope, (state.z, state.multipliers), batch_size=plan.together)
-        # Optimisers promote as they please, whatever the caller is strict about.
+        # Optimizers promote as they please, whatever the caller is strict about.
         with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
-            updates, memory = jax.vmap(plan.optimiser.update)(slopes, state.memory, state.z)
+            updates, memory = jax.vmap(plan.optimizer.update)(slopes, state.memory, state.z)
             moved = optax.apply_updates(state.z, updates)
         moved = jnp.where(jnp.isfinite(moved), moved, state.z)
         return State(moved, memory, state.multipliers), scores
@@ -214,7 +214,7 @@ def nudged(hill: Hill, values, goals, units, lower, upper, blurs, rates):
             Best(values, count, worst),
             best,
         )
-        # Optimisers promote as they please, whatever the caller is strict about.
+        # Optimizers promote as they please, whatever the caller is strict about.
         with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
             updates, memory = jax.vmap(_ADAM.update)(slopes, memory, values)
             moved = jnp.clip(values + rate * units * updates, lower, upper)

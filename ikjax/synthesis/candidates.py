@@ -34,7 +34,7 @@ WIDTHS = (32, 256)
 """Goals of a block: a power of two between these, so that few programs are compiled."""
 
 CALL = 4096
-"""Bases of a call."""
+"""Placements of a call."""
 
 LOOK = 2**20
 """Numbers of a map that are looked up at a time."""
@@ -127,7 +127,9 @@ def looked_up(
     grid = _checked(found, arm, limits)
     end = "_within" if limits else ""
     exact = f"mask{end}" in found.arrays
-    known = found.reached(within=limits) if exact else found.arrays[f"reachable{end}"] / found.orientations
+    known = (
+        found.reached(within=limits) if exact else found.arrays[f"reachable{end}"] / found.orientation_count
+    )
     known = np.asarray(known)
     from_map, base = np.asarray(found.arm.base, float), np.asarray(arm.base, float)
     view = from_map[:3, :3] @ base[:3, :3].T
@@ -150,7 +152,7 @@ def looked_up(
 
 
 def amid(shares: np.ndarray) -> np.ndarray:
-    """How good the neighbours of candidates (x, y, z, t) are: in the middle of many alike it is best."""
+    """How good the neighbors of candidates (x, y, z, t) are: in the middle of many alike it is best."""
     for _ in range(3):
         for axis in range(3):
             ends = [(1, 1) if k == axis else (0, 0) for k in range(shares.ndim)]
@@ -163,12 +165,12 @@ def _checked(found: ReachMap, arm: Arm, limits: bool) -> Grid:
     """The positions of a map that serves."""
     if not isinstance(found, ReachMap):
         raise ValueError(f"reach must be a ReachMap, as from ikjax.sweep, got {type(found).__name__}")
-    if not isinstance(found.grid, Grid):
+    if not isinstance(found.positions, Grid):
         raise ValueError(
-            f"reach must be a map over a grid of positions, got one over {found.grid.in_words()}"
+            f"reach_map must be a map over a grid of positions, got one over {found.positions.in_words()}"
         )
-    if found.rolls != 1:
-        raise ValueError(f"reach must be a map of 1 roll, as goals ask for, got {found.rolls}")
+    if found.free_rolls != 1:
+        raise ValueError(f"reach_map must be a map of 1 roll, as goals ask for, got {found.free_rolls}")
     name = "reachable_within" if limits else "reachable"
     if not {name, name.replace("reachable", "mask")} & set(found.arrays):
         raise ValueError(f"reach must have {name} or its mask, it has {', '.join(found.arrays)}")
@@ -178,13 +180,13 @@ def _checked(found: ReachMap, arm: Arm, limits: bool) -> Grid:
         same = same and one.shape == other.shape and np.allclose(one, other, rtol=0, atol=1e-6)
     if not same:
         raise ValueError(f"reach must be a map of {arm.name}, got one of another arm, {found.arm.name}")
-    return found.grid
+    return found.positions
 
 
 def _nearest(found: ReachMap, rotations: np.ndarray) -> np.ndarray:
     """Indices (g,) of a map's orientations that are nearest to rotations (g, 3, 3)."""
-    if isinstance(found.directions, Hopf):
-        return found.directions.nearest(rotations)
+    if isinstance(found.orientations, Hopf):
+        return found.orientations.nearest(rotations)
     table = found.rotations.reshape(-1, 9).T
     flat = rotations.reshape(-1, 9)
     step = max(1, LOOK // table.shape[1])

@@ -27,7 +27,7 @@ from ikjax.synthesis.parameters import chosen
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Designed:
+class DesignResult:
     """The best arm of a design study, how it was found, and what it still cannot do."""
 
     arm: Arm
@@ -112,14 +112,14 @@ def design(
     constraints: str | Sequence[Constraint | str] = (),
     starts: int = 8,
     steps: int = 200,
-    optimiser: optax.GradientTransformation | None = None,
+    optimizer: optax.GradientTransformation | None = None,
     blur: tuple[float, float] = (0.1, 0.002),
     limits: bool = True,
     batch: int | None = None,
-    finish: int = 0,
+    local_search: int = 0,
     seed: int = 0,
     progress: Callable[[int, np.ndarray], Any] | None = None,
-) -> Designed:
+) -> DesignResult:
     """Move some numbers of an arm so that it serves its goals better.
 
     Args:
@@ -128,7 +128,7 @@ def design(
             axis that hold what is no pose are left out, and counted in the report.
         vary: What may move and between which bounds: {"a2": (0.2, 0.6), "base.xyz": (-0.3, 0.3)}; see
             `synthesis.parameters.chosen`. Base and tool count from where they are.
-        objective: "coverage", "dexterity", "worst_margin", "mean_manipulability", or a function
+        objective: "coverage", "dexterous_share", "worst_margin", "mean_manipulability", or a function
             (arm, sol, blur) -> score, to be made as great as can be; see `synthesis.objectives`. Functions
             must be the same object from call to call for a compiled program to be used again.
         ties: Linear equations that hold throughout: "a2 + d4 = 0.8".
@@ -136,19 +136,19 @@ def design(
             functions of the arm that return numbers, met where these are not above zero.
         starts: How many arms climb: the given one, and others anywhere between the bounds.
         steps: Of each.
-        optimiser: Any of optax; adam by default, its rate 0.1 falling to zero along a cosine. What it moves
+        optimizer: Any of optax; adam by default, its rate 0.1 falling to zero along a cosine. What it moves
             are logistic coordinates, one unit of which is up to a quarter of the way between bounds.
         blur: Of the score at first and in the end, as a share of the arm's reach.
         limits: Whether the joint limits count.
         batch: So many rows of goals, picked at random, for each step; all by default.
-        finish: So many arms near the best, in whole rounds of twice `starts`, are judged by the exact score
-            in the end, and the best of them is taken. A share of goals has steps that no slope sees, and a
-            bound is only neared by climbing.
+        local_search: So many arms near the best, in whole rounds of twice `starts`, are judged by the exact
+            score in the end, and the best of them is taken. A share of goals has steps that no slope sees,
+            and a bound is only neared by climbing.
         seed: Of the other starts, and of the picking.
         progress: Called with the steps done and the scores (starts,) after every chunk.
 
     Returns:
-        A `Designed`: the best arm, its numbers, the history, and an exact count by `solve`.
+        A `DesignResult`: the best arm, its numbers, the history, and an exact count by `solve`.
 
     Raises:
         ValueError: As `synthesis.parameters.chosen` says; an arm of no family, goals of a wrong shape or none
@@ -161,7 +161,7 @@ def design(
     if not kept.any():
         raise ValueError("goals must hold a pose, none of them is one")
     goals = goals if kept.all() else goals[np.flatnonzero(kept)]
-    _check(starts, steps, blur, batch, finish)
+    _check(starts, steps, blur, batch, local_search)
     rules, functions = _constraints(arm, constraints)
     if isinstance(objective, str):
         if objective not in NAMED:
@@ -175,7 +175,7 @@ def design(
         parameters,
         objective,
         functions,
-        _usual(steps) if optimiser is None else optimiser,
+        _usual(steps) if optimizer is None else optimizer,
         limits,
         batch,
         max(1, BLOCK // ((batch or len(goals)) * int(np.prod(goals.shape[1:-2])))),
@@ -205,14 +205,14 @@ def design(
         )
     best = _best(exact, over, np.arange(len(exact)) < starts)
     number, score, violation = values[best], exact[best], over[best]
-    if finish:
+    if local_search:
         number, score, violation = _searched(
-            judge, everyone[best], (number, score, violation), finish, seed, len(everyone)
+            judge, everyone[best], (number, score, violation), local_search, seed, len(everyone)
         )
     made = parameters.put(arm, jnp.asarray(number, goals.dtype))
     sol = solve(made, goals)
     sol = within_limits(made, sol) if limits else sol
-    return Designed(
+    return DesignResult(
         arm=made,
         start=arm,
         values=dict(zip(parameters.names, number.tolist(), strict=True)),
@@ -257,10 +257,11 @@ def _searched(judge, z: np.ndarray, best: tuple, count: int, seed: int, together
     return best
 
 
-def _check(starts: int, steps: int, blur, batch: int | None, finish: int) -> None:
-    if starts < 1 or min(steps, finish) < 0:
+def _check(starts: int, steps: int, blur, batch: int | None, local_search: int) -> None:
+    if starts < 1 or min(steps, local_search) < 0:
         raise ValueError(
-            f"starts must be at least 1, steps and finish not negative, got {starts}, {steps} and {finish}"
+            "starts must be at least 1, steps and local_search not negative, "
+            f"got {starts}, {steps} and {local_search}"
         )
     if batch is not None and batch < 1:
         raise ValueError(f"batch must be at least 1, or None for all goals, got {batch}")

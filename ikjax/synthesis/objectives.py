@@ -26,16 +26,19 @@ def coverage(arm: Arm, sol: Solutions, blur) -> jax.Array:
     return jax.nn.sigmoid(smooth_max(sol.margin, blur) / blur)
 
 
-def dexterity(arm: Arm, sol: Solutions, blur, *, share: float = 0.5) -> jax.Array:
+def dexterous_share(arm: Arm, sol: Solutions, blur, *, share: float = 0.5) -> jax.Array:
     """The share of positions where at least `share` of the orientations is reached; goals (P, O, 4, 4).
 
-    Over a grid, that times its volume is the dexterous volume.
+    The dexterity of a position is the share of its orientations that are reached, as in a `ReachMap`. Over a
+    grid, the share of positions times its volume is the dexterous volume.
 
     Raises:
         ValueError: Goals that are no table of positions and orientations.
     """
     if sol.valid.ndim != 3:
-        raise ValueError(f"dexterity wants goals (positions, orientations, 4, 4), got {sol.valid.shape[:-1]}")
+        raise ValueError(
+            f"dexterous_share wants goals (positions, orientations, 4, 4), got {sol.valid.shape[:-1]}"
+        )
     reached = coverage(arm, sol, blur).mean(-1)
     if _exact(blur):
         return (reached >= share).astype(reached.dtype)
@@ -57,7 +60,7 @@ def mean_manipulability(arm: Arm, sol: Solutions, blur) -> jax.Array:
 
 NAMED = {
     "coverage": coverage,
-    "dexterity": dexterity,
+    "dexterous_share": dexterous_share,
     "worst_margin": worst_margin,
     "mean_manipulability": mean_manipulability,
 }

@@ -1,7 +1,7 @@
 """The numbers of an arm that a design study moves: their names, bounds and ties.
 
 Each number lies between its bounds by a logistic, lower + width / (1 + exp(-z)), so that any
-optimiser may move any z. Ties, linear equations between numbers, are met by shifting z along the ties' own
+optimizer may move any z. Ties, linear equations between numbers, are met by shifting z along the ties' own
 directions as far as it takes; bounds hold all the while. Base and tool move by a twist: a shift and a turn
 (rotation vector) about their own origin, in the axes of the world and of the last link.
 

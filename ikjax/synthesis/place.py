@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ikjax.arm.arm import Arm
-from ikjax.arm.forward import reach as reach_of
+from ikjax.arm.forward import reach
 from ikjax.ik.check import check_goals
 from ikjax.ik.margins import limited_margins
 from ikjax.ik.solve import as_goals, check_family, solve
@@ -26,7 +26,7 @@ from ikjax.synthesis.search_space import Room, room
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Bases:
+class Placements:
     """Places for the base of an arm, the best first, and how they were found.
 
     `dataclasses.replace(arm, base=bases.base[0])` is the arm at the first of them.
@@ -108,7 +108,7 @@ def place(
     arm: Arm,
     goals,
     *,
-    reach: ReachMap | None = None,
+    reach_map: ReachMap | None = None,
     move: Sequence[str] = ("x", "y", "turn"),
     bounds: Mapping[str, tuple[float, float]] | None = None,
     spacing: float | None = None,
@@ -117,15 +117,15 @@ def place(
     limits: bool = True,
     starts: int = 16,
     steps: int = 60,
-) -> Bases:
+) -> Placements:
     """Where to put the base of an arm so that it reaches the most goals, with the most to spare.
 
     Args:
         arm: An arm with a family; where it stands says how the base is turned and what does not move.
         goals: T_world_tool, (..., 4, 4), float32 or float64. Polishing holds all of them in memory.
-        reach: A map of this arm over a grid, where candidates are looked up instead of solved: orientation
-            by orientation with the statistic `mask_within` (`mask` without limits), else by the share of
-            them. What is returned is judged by `solve` all the same.
+        reach_map: A map of this arm over a grid, where candidates are looked up instead of solved:
+            orientation by orientation with the statistic `mask_within` (`mask` without limits), else by the
+            share of them. What is returned is judged by `solve` all the same.
         move: Which of "x", "y", "z", "turn" (about the world's z) and "tilt" (about its x and y) may change.
             Candidates are not tilted, polishing does that.
         bounds: Of some of these: x, y and z in the world [m], turn and tilt from how the arm was given [rad].
@@ -135,13 +135,13 @@ def place(
         spacing: Of candidates [m]; by default a sixteenth of the reach, or what makes 65,536 positions.
         turns: Candidates for the turn. Where the first axis stands upright and its limits leave it a whole
             turn, turning the base changes nothing, and one is tried.
-        keep: How many to return at most; no two of them are neighbours on the grid, or nearer.
+        keep: How many to return at most; no two of them are neighbors on the grid, or nearer.
         limits: Whether the joint limits count.
         starts: How many of the best candidates, distinct likewise, are judged exactly and polished.
         steps: Of each; 0 leaves them on the grid. A base never gets worse by them.
 
     Returns:
-        `Bases`, the best first. Where none reaches anything it says so.
+        `Placements`, the best first. Where none reaches anything it says so.
 
     Raises:
         ValueError: An arm of no family; no goals, or what is no pose, by name; an unknown move, bounds out of
@@ -158,14 +158,14 @@ def place(
         if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
             raise ValueError(f"{name} must be a whole number, at least {least}, got {value!r}")
     arm = as_solved(arm.astype(given.dtype))
-    size = float(reach_of(arm.baked()))
+    size = float(reach(arm.baked()))
     where = room(arm, flat[:, :3, 3].astype(float), size, move, bounds or {}, spacing, turns, limits)
     points = where.grid.points().reshape(-1, 3)
-    if reach is None:
+    if reach_map is None:
         count, spare = candidates.solved(arm, flat, points, where.turns, limits)
         tried = count / len(flat)
     else:
-        tried = candidates.looked_up(reach, arm, flat, points, where.turns, limits)
+        tried = candidates.looked_up(reach_map, arm, flat, points, where.turns, limits)
         spare = candidates.amid(tried.reshape(*where.grid.shape, -1)).reshape(tried.shape)
     order = np.lexsort((-spare.reshape(-1), -tried.reshape(-1)))
     first = where.places()[order]
@@ -187,7 +187,7 @@ def place(
         counts = np.array([stand.reached.sum() for stand in stands])
         return (counts + LESS * np.clip(margins / size, -1, 1)) / len(flat)
 
-    return Bases(
+    return Placements(
         arm=arm,
         goals=np.asarray(given),
         base=np.stack([stand.base for stand in best]),

@@ -24,8 +24,8 @@ USUAL, MOST = 2**16, 2**24
 FINE = 16
 """Candidates along one reach by default."""
 
-NEIGHBOUR = 1.01
-"""Distances between candidates that are neighbours, rounding included."""
+NEIGHBOR = 1.01
+"""Distances between candidates that are neighbors, rounding included."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Room:
 
     @property
     def steps(self) -> np.ndarray:
-        """(6,) from a candidate to its neighbour."""
+        """(6,) from a candidate to its neighbor."""
         turn = self.turns[1] - self.turns[0] if len(self.turns) > 1 else 0.3
         return np.array([self.grid.spacing] * 3 + [0.3, 0.3, turn])
 
@@ -74,7 +74,7 @@ class Room:
         return ends[:, 0], ends[:, 1]
 
     def distinct(self, places: np.ndarray, most: int) -> np.ndarray:
-        """Indices of the first places that are no neighbours of one before them."""
+        """Indices of the first places that are no neighbors of one before them."""
         free = np.ones(len(places), bool)
         chosen: list[int] = []
         columns = [0, 1, 2, 5]
@@ -82,7 +82,7 @@ class Room:
             chosen.append(int(np.argmax(free)))
             gap = np.abs(places - places[chosen[-1]])
             gap[:, 5] = np.minimum(gap[:, 5] % (2 * np.pi), -gap[:, 5] % (2 * np.pi))
-            free &= (gap[:, columns] > NEIGHBOUR * self.steps[columns]).any(1)
+            free &= (gap[:, columns] > NEIGHBOR * self.steps[columns]).any(1)
         return np.array(chosen)
 
 

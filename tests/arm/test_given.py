@@ -1,4 +1,4 @@
-"""The arm as given and the arm as recognised: rounded files, calibrated tables, coupled joints."""
+"""The arm as given and the arm as recognized: rounded files, calibrated tables, coupled joints."""
 
 import dataclasses
 
@@ -35,7 +35,7 @@ CALIBRATION = {
 
 def calibrated(tolerance):
     table = {key: UR10E.get(key, 0) + np.array(CALIBRATION[key]) for key in CALIBRATION}
-    return ikjax.Arm.from_dh(**table, convention="standard", tolerance=tolerance, name="mine")
+    return ikjax.Arm.from_dh(**table, convention="standard", axis_tolerance=tolerance, name="mine")
 
 
 def urdf(joints) -> str:
@@ -74,7 +74,7 @@ def _found(q, sol):
 
 
 @pytest.mark.slow
-def test_a_rounded_file_is_recognised_and_answered_as_it_is():
+def test_a_rounded_file_is_recognized_and_answered_as_it_is():
     arm = ikjax.Arm.from_urdf(urdf(PUMA))
     assert arm.family == "ortho_parallel_wrist" and arm.kinds == "RRRRRR" and arm.name == "arm"
     assert 1e-6 < np.abs(arm.correction).max() < 1e-5
@@ -215,8 +215,8 @@ def test_coupled_joints_are_motor_values_everywhere():
         ({"coupling": np.full((6, 6), np.nan)}, "coupling must hold finite numbers"),
         ({"correction": np.zeros((6, 6))}, r"correction must have shape \(7, 6\), got \(6, 6\)"),
         ({"correction": np.ones((7, 6))}, "correction must turn by 0.05 rad at most, got 1.0"),
-        ({"correction": np.zeros((7, 6)), "tolerance": 0.01}, "give one or the other"),
-        ({"tolerance": 0.5}, "tolerance must be between 0 and 0.02, got 0.5"),
+        ({"correction": np.zeros((7, 6)), "axis_tolerance": 0.01}, "give one or the other"),
+        ({"axis_tolerance": 0.5}, "axis_tolerance must be between 0 and 0.02, got 0.5"),
     ],
 )
 def test_a_mistake_is_named(changes, message):
@@ -234,7 +234,7 @@ def test_a_printed_arm_can_be_pasted_back(make):
 
 
 def test_a_table_that_is_exact_needs_no_correction():
-    arm = ikjax.Arm.from_dh(**UR10E, convention="standard", tolerance=1e-2)
+    arm = ikjax.Arm.from_dh(**UR10E, convention="standard", axis_tolerance=1e-2)
     assert arm.correction is None and arm.family == "three_parallel"
     q = np.random.default_rng(3).uniform(-np.pi, np.pi, (20, 6))
     plain = ikjax.Arm.from_dh(**UR10E, convention="standard")
@@ -258,7 +258,7 @@ def test_a_sweep_within_limits_turns_no_motor_that_may_not():
     arm, rotations = screwed(), np.zeros((4, 3, 3))
     for rotation, angle in zip(rotations, (0.3, 1.5, 2.9, 4.4), strict=True):
         rotation[:] = [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
-    grid = ikjax.grid((-0.3, -0.3, -0.05), (0.3, 0.3, 0.05), 0.05)
+    grid = ikjax.maps.grid((-0.3, -0.3, -0.05), (0.3, 0.3, 0.05), 0.05)
     found = ikjax.sweep(arm, grid, rotations, statistics=("reachable_within", "reachable"))
     goals = np.broadcast_to(np.eye(4), (*grid.shape, 4, 4, 4)).copy()
     goals[..., :3, :3], goals[..., :3, 3] = rotations, grid.points().reshape(*grid.shape, 1, 3)
@@ -283,7 +283,7 @@ def test_a_turn_of_a_motor_that_is_another_pose_is_not_taken(traced, rng):
     found = np.asarray(inside.q)
     held = ((found >= low - 1e-12) & (found <= high + 1e-12)).all(-1)
     assert (held | ~np.asarray(inside.valid)).all()
-    assert np.array_equal(inside.valid, sol.valid & (ikjax.limit_distance(arm, sol.q) >= -1e-12))
+    assert np.array_equal(inside.valid, sol.valid & (ikjax.limit_clearance(arm, sol.q) >= -1e-12))
     nearest, any_found = ikjax.nearest(arm, inside, np.zeros(4))
     gap, _ = ikjax.pose_error(ikjax.fk(arm, nearest), goals)
     assert np.where(any_found, gap, 0).max() < 1e-12

@@ -91,23 +91,23 @@ def test_the_least_tolerance_that_gives_a_family_is_taken():
     arm = from_rows(rows)
     assert arm.family == "ortho_parallel_wrist"
     assert 1e-4 < np.abs(np.asarray(arm.correction)).max() < 3e-4
-    assert from_rows(rows, tolerance=1e-5).family is None
+    assert from_rows(rows, axis_tolerance=1e-5).family is None
     assert "0.0002 m" in ikjax.explain(arm) and "complete" not in ikjax.explain(arm)
 
 
 def test_a_family_that_holds_needs_no_tolerance():
     arm = from_rows(M1013)
     assert arm.family == "pieper"
-    looser = from_rows(M1013, tolerance=1e-3)
+    looser = from_rows(M1013, axis_tolerance=1e-3)
     assert looser.family == "ortho_parallel_wrist" and looser.correction is not None
 
 
 def test_slots_that_may_be_too_few_are_said():
-    arm = from_rows(LWA4P, tolerance=1e-2)
+    arm = from_rows(LWA4P, axis_tolerance=1e-2)
     assert arm.family is not None and not arm.complete
     assert "complete = False" in ikjax.explain(arm)
     assert ikjax.robots.get("ur5e").complete
-    assert not from_rows(LWA4P, tolerance=1e-3).complete
+    assert not from_rows(LWA4P, axis_tolerance=1e-3).complete
 
 
 def test_a_correction_that_valid_cannot_see_is_left_out():
@@ -125,12 +125,12 @@ def test_a_correction_that_valid_cannot_see_is_left_out():
 def test_a_table_of_rounded_twists_is_told_of_its_faster_family():
     table = {"a": [0, 0.43, 0.02, 0, 0, 0], "d": [0.6, 0.1, 0, 0.43, 0, 0.4], "convention": "standard"}
     rounded = [-1.5708, 0, 1.5708, -1.5708, 1.5708, 0]
-    with pytest.warns(UserWarning, match="ortho_parallel_wrist, which is faster: .* tolerance=1e-05"):
+    with pytest.warns(UserWarning, match="ortho_parallel_wrist, which is faster: .* axis_tolerance=1e-05"):
         arm = ikjax.Arm.from_dh(alpha=rounded, **table)
     assert arm.family == "pieper"
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert ikjax.Arm.from_dh(alpha=rounded, tolerance=1e-5, **table).family == "ortho_parallel_wrist"
+        assert ikjax.Arm.from_dh(alpha=rounded, axis_tolerance=1e-5, **table).family == "ortho_parallel_wrist"
         ikjax.Arm.from_dh(alpha=np.round(np.array(rounded) * 2 / PI) * PI / 2, **table)
 
 

@@ -70,7 +70,7 @@ PATTERNS = {
 
 
 @pytest.mark.parametrize("family", PATTERNS)
-def test_every_pattern_of_signs_is_recognised(family):
+def test_every_pattern_of_signs_is_recognized(family):
     seen = set()
     for twists in itertools.product(*(TURNS[kind] for kind in PATTERNS[family])):
         arm = arm_of(family, **{f"alpha{i + 1}": twist * DEG for i, twist in enumerate(twists)})

@@ -191,14 +191,14 @@ def test_the_axis_is_x_where_none_is_given():
 
 
 @pytest.mark.parametrize("scale", [5e-324, 1e-200, 0.5, 1 + 2e-6, 3, 1.7e308])
-def test_an_axis_of_another_length_is_normalised_and_said(scale):
-    with pytest.warns(UserWarning, match=r'<string>:3: <joint name="j">: axis has length .*, normalised'):
+def test_an_axis_of_another_length_is_normalized_and_said(scale):
+    with pytest.warns(UserWarning, match=r'<string>:3: <joint name="j">: axis has length .*, normalized'):
         chain = read_chain(one(f'<axis xyz="0 {scale} -{scale}"/>{LIMIT}'))
     np.testing.assert_allclose(chain.joints[0].axis, [0, 0.5**0.5, -(0.5**0.5)], rtol=1e-15)
 
 
 @pytest.mark.filterwarnings("error")
-def test_an_axis_rounded_to_seven_digits_is_normalised_in_silence():
+def test_an_axis_rounded_to_seven_digits_is_normalized_in_silence():
     axis = read_chain(one(f'<axis xyz="0.7071068 0 0.7071068"/>{LIMIT}')).joints[0].axis
     assert abs(np.linalg.norm(axis) - 1) < 1e-15
 

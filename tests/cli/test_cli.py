@@ -295,13 +295,13 @@ def test_every_command_takes_the_ends_of_a_files_arm_and_its_tolerance(run, fork
     assert (code, out) == (2, "") and 'give one as --tip: "tool"' in err and "tip=" not in err
     code, _, err = run(*words, "--tip", "hand")
     assert code == 2 and '--tip "hand" is none of' in err
-    ends = ["--base", "a", "--tip", "tool", "--tolerance"]
+    ends = ["--base", "a", "--tip", "tool", "--axis-tolerance"]
     code, out, err = run(*words, *ends, "1e-5")
     if words[0] == "info":
         assert code == 0 and "no closed form here: axes 1, 2, 3, 4 are 0.0573 deg" in out
-        assert "build it with --tolerance 1e-3" in out and "tolerance=" not in out
+        assert "build it with --axis-tolerance 1e-3" in out and "axis_tolerance=" not in out
     else:
-        assert code == 2 and "build it with --tolerance 1e-3" in err and "tolerance=" not in err
+        assert code == 2 and "build it with --axis-tolerance 1e-3" in err and "axis_tolerance=" not in err
     code, out, err = run(*words, *ends, "1e-2")
     assert code < 2 and "forked" in out, err  # nothing need be reached
 
@@ -375,7 +375,7 @@ def test_a_study_is_swept_gone_on_with_and_compared(run, study, tmp_path):
     assert "1 of 8 units kept, 7 missing, 0 damaged" in diary and "SweepStoppedError" in diary
     study(0.06)
     code, _, err = run(*words, "--resume")
-    assert code == 2 and "grid.spacing: 0.03 there, 0.06 here" in err
+    assert code == 2 and "positions.spacing: 0.03 there, 0.06 here" in err
 
 
 def test_a_map_that_cannot_be_written_exits_with_3(run, study, tmp_path):

@@ -21,7 +21,7 @@ def read(tmp_path):
 
 def test_a_short_study_takes_the_defaults(read):
     study = read(SHORT)
-    assert study.arm.name == "ur5" and study.positions == ikjax.around(study.arm, 0.5)
+    assert study.arm.name == "ur5" and study.positions == ikjax.maps.around(study.arm, 0.5)
     assert study[2:] == (8, 1, STATISTICS, None, "float32", False)
 
 
@@ -36,7 +36,7 @@ def test_a_study_can_say_everything(read, tmp_path):
         statistics = ["reachable", "solutions", "reachable_within", "solutions_within"]
         chunk = [2, 1, 2]
         dtype = "float64"
-        rolls = 3
+        free_rolls = 3
         """
     )
     assert study.positions.shape == (3, 3, 2)
@@ -46,7 +46,7 @@ def test_a_study_can_say_everything(read, tmp_path):
         study.statistics == STATISTICS[:4]
         and study.chunk == (2, 1, 2)
         and study.dtype == "float64"
-        and study.rolls == 3
+        and study.free_rolls == 3
     )
     assert np.isinf(read(SHORT + "limits = false").arm.limits).all()
     assert read(SHORT + "certify = true").certify
@@ -56,13 +56,15 @@ def test_a_study_names_shells_surfaces_cones_and_grids_of_rotations(read, tmp_pa
     (tmp_path / "part.csv").write_text("1000, 0, 0\n0, 500, 0\n")
     rest = 'arm = "ur5"\n'
     study = read(rest + 'surface = { file = "part.csv", scale = 0.001 }\norientations = { hopf = 1 }')
-    assert study.positions == ikjax.surface([[1, 0, 0], [0, 0.5, 0]]) and study.orientations == ikjax.hopf(1)
+    assert study.positions == ikjax.maps.surface(
+        [[1, 0, 0], [0, 0.5, 0]]
+    ) and study.orientations == ikjax.maps.hopf(1)
     study = read(
-        rest + "shell = { centre = [0, 0, 1], radii = [0.5], directions = 9 }\nchunk = [1, 3]\n"
+        rest + "shell = { center = [0, 0, 1], radii = [0.5], directions = 9 }\nchunk = [1, 3]\n"
         "orientations = { cone = { direction = [0, 0, -1], half_angle = 0.5, directions = 4 } }"
     )
-    assert study.positions == ikjax.shell((0, 0, 1), 0.5, 9) and study.chunk == (1, 3)
-    assert study.orientations == ikjax.cone((0, 0, -1), 0.5, 4)
+    assert study.positions == ikjax.maps.shell((0, 0, 1), 0.5, 9) and study.chunk == (1, 3)
+    assert study.orientations == ikjax.maps.cone((0, 0, -1), 0.5, 4)
 
 
 def test_a_urdf_file_is_looked_for_beside_the_study(read, tmp_path):
@@ -77,13 +79,13 @@ def test_a_study_names_the_ends_of_a_files_arm(read, tmp_path):
     links = "".join(f'<link name="{name}"/>' for name in ("a", "b", "tool", "camera"))
     (tmp_path / "mine.XML").write_text(f"<robot>{links}{joint}</robot>")
     rest = 'arm = "mine.XML"\nspacing = 0.5\norientations = 8\n'
-    assert read(rest + 'base = "a"\ntip = "tool"\ntolerance = 1e-3').arm.n == 1
+    assert read(rest + 'base = "a"\ntip = "tool"\naxis_tolerance = 1e-3').arm.n == 1
     for text, says in {
         "": "give one as tip=",
         'tip = "hand"': 'tip="hand" is none of',
         "tip = 3": "tip is of the wrong kind: 3",
-        'tip = "tool"\ntolerance = "x"': "tolerance is of the wrong kind",
-        'tip = "tool"\ntolerance = 0.5': "tolerance must be between 0 and 0.02",
+        'tip = "tool"\naxis_tolerance = "x"': "axis_tolerance is of the wrong kind",
+        'tip = "tool"\naxis_tolerance = 0.5': "axis_tolerance must be between 0 and 0.02",
     }.items():
         with pytest.raises(ValueError, match=r"study\.toml: ") as error:
             read(rest + text)
@@ -95,7 +97,9 @@ def test_a_study_names_the_ends_of_a_files_arm(read, tmp_path):
 @pytest.mark.parametrize(
     "text, says",
     [
-        (SHORT + "spacin = 1", "no key 'spacin'; the keys are arm, base, tip, tolerance, spacing"),
+        (SHORT + "spacin = 1", "no key 'spacin'; the keys are arm, base, tip, axis_tolerance, spacing"),
+        (SHORT + "rolls = 2", "'rolls' is called 'free_rolls' now"),
+        (SHORT + "tolerance = 1e-3", "'tolerance' is called 'axis_tolerance' now"),
         ('arm = "ur5"\nspacing = 0.5', "orientations is missing"),
         ("arm = 5\nspacing = 0.5\norientations = 8", "arm must be a name or a file"),
         ('arm = "nobody"\nspacing = 0.5\norientations = 8', "no robot 'nobody'"),
@@ -108,9 +112,9 @@ def test_a_study_names_the_ends_of_a_files_arm(read, tmp_path):
         ('arm = "ur5"\nspacing = 1\norientations = { wxyz = [[0, 0, 0, 0]] }', "length 1"),
         ('arm = "ur5"\norientations = 8', "one of spacing, shell and surface is wanted, got none"),
         (SHORT + "surface = {}", "one of spacing, shell and surface is wanted, got spacing, surface"),
-        (SHORT + "rolls = 1.5", "rolls must be a whole number"),
+        (SHORT + "free_rolls = 1.5", "free_rolls must be a whole number"),
         ('arm = "ur5"\norientations = 8\nsurface = { file = 3 }', "surface.file is of the wrong kind"),
-        ('arm = "ur5"\norientations = 8\nshell = { radii = [1] }', "shell must have the keys centre, radii"),
+        ('arm = "ur5"\norientations = 8\nshell = { radii = [1] }', "shell must have the keys center, radii"),
         ('arm = "ur5"\nspacing = 1\norientations = { hopf = 10 }', "level must be a whole number"),
         ('arm = "ur5"\nspacing = 1\norientations = { cone = 5 }', "cone must have the keys direction"),
         (SHORT + "bounds = [[0, 0], [1, 1]]", "bounds must be 2 x 3 numbers"),

@@ -191,7 +191,7 @@ def test_a_mistake_is_named(given, text):
         ikjax.pose(**given)
 
 
-def test_neighbours_cancel(rng):
+def test_neighbors_cancel(rng):
     def laws(*matrices):
         first, second, third = (poses.from_matrix(matrix) for matrix in matrices)
         pairs = {

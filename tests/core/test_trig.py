@@ -13,7 +13,7 @@ sincos, atan2, wrap = (jax.jit(f) for f in (trig.sincos, trig.atan2, trig.wrap))
 
 
 def angles(dtype, rng):
-    """Every size up to 1e5, and the neighbourhood of every multiple of pi/4 that matters most."""
+    """Every size up to 1e5, and the neighborhood of every multiple of pi/4 that matters most."""
     spread = rng.choice([-1, 1], 1500) * 10 ** rng.uniform(-9, 5, 1500)
     near = np.arange(-40, 41)[:, None] * math.pi / 4 + [-1e-5, 0, 1e-5]
     return np.array([*spread, *near.ravel(), 0.0, 1e5, -1e5], dtype)

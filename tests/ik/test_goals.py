@@ -79,7 +79,7 @@ FINITE = ("q", "margin", "position_error", "rotation_error")
 @pytest.mark.filterwarnings("error")
 class TestMasked:
     @pytest.mark.parametrize("case", MASKED)
-    def test_it_is_masked_and_its_neighbours_keep_their_bits(self, case, dtype):
+    def test_it_is_masked_and_its_neighbors_keep_their_bits(self, case, dtype):
         with np.errstate(over="ignore"):
             bad = MASKED[case].astype(dtype)
         good = np.tile(goal(dtype), (9, 1, 1))
@@ -271,7 +271,7 @@ class TestQuaternions:
         with pytest.raises(ValueError, match="wxyz must have length 1"):
             ikjax.pose([0.4, 0.3, 0.2], wxyz=[0.0, 0.0, 0.0, 0.0])
 
-    def test_a_length_within_1e_3_is_normalised(self):
+    def test_a_length_within_1e_3_is_normalized(self):
         wxyz = np.array([0.5, 0.5, -0.5, 0.5])
         sol = solve(ikjax.pose([0.4, 0.3, 0.2], wxyz=wxyz * 1.0009))
         assert sol.valid.all()

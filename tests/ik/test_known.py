@@ -20,7 +20,7 @@ CALLS = {
     "solve": lambda arm, T: ikjax.solve(arm, T),
     "solve, joints": lambda arm, T: ikjax.solve(arm, T).q,
     "gradient": lambda arm, T: jax.grad(lambda T: ikjax.solve(arm, T).q.sum())(T),
-    "project": lambda arm, T: ikjax.project(arm, T, steps=2, beside=1).q,
+    "project": lambda arm, T: ikjax.project(arm, T, steps=2, extra_starts=1).q,
     "refine": lambda arm, T: ikjax.refine(arm, T, Q, steps=2).q,
     "track": lambda arm, T: ikjax.track(arm, T, Q, steps=2).q,
     "nearest": lambda arm, T: ikjax.nearest(arm, ikjax.solve(arm, T), Q)[0],
@@ -28,7 +28,7 @@ CALLS = {
     "limited_margins": lambda arm, T: ikjax.limited_margins(arm, ikjax.solve(arm, T)).margin,
     "manipulability": lambda arm, T: ikjax.manipulability(arm, T[:, 0, :1] * ONES),
     "sigma_min": lambda arm, T: ikjax.sigma_min(arm, T[:, 0, :1] * ONES),
-    "limit_distance": lambda arm, T: ikjax.limit_distance(arm, T[:, 0, :1] * ONES),
+    "limit_clearance": lambda arm, T: ikjax.limit_clearance(arm, T[:, 0, :1] * ONES),
     "fk": lambda arm, T: ikjax.fk(arm, T[:, 0, :1] * ONES),
     "jacobian": lambda arm, T: ikjax.jacobian(arm, T[:, 0, :1] * ONES),
 }

@@ -1,4 +1,4 @@
-"""One error first and the other second, against constrained and bounded optimisers of scipy."""
+"""One error first and the other second, against constrained and bounded optimizers of scipy."""
 
 import functools
 
@@ -28,7 +28,7 @@ def wild(arm, count, low, high, seed=0):
 def projected(priority="position"):
     goals = wild(ARM, 100, 0.6 * LOW, 0.6 * HIGH)
     # The steps of an eager call that every start takes: one program.
-    return goals, ikjax.project(ARM, goals, priority=priority, steps=8, beside=0)
+    return goals, ikjax.project(ARM, goals, priority=priority, steps=8, extra_starts=0)
 
 
 def numpy_fk(arm):

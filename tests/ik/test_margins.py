@@ -86,7 +86,7 @@ def test_margins_with_limits_climb_from_outside_and_are_finite_beside_nan(costly
 def test_margins_with_limits_have_the_slope_of_differences_inside_and_outside(name, rng):
     arm = limited(np.float64) if name == "planar_2r" else ikjax.robots.get(name)
     here = rng.uniform(-1.3, 1.3, (200, 3))
-    turns = np.asarray(ikjax.even_rotations(200), np.float64)
+    turns = np.asarray(ikjax.maps.even_rotations(200), np.float64)
     where = goals(rng, np.float64, 200) if arm.n == 2 else ikjax.pose(xyz=here, matrix=turns)
     rates = {key: rng.normal(size=arm.n) * (np.asarray(getattr(arm, key)) != 0) for key in ("a", "d")}
     shift = np.where(arm.n == 2, [1, 1, 0], 1) * rng.normal(size=3)

@@ -147,7 +147,9 @@ def test_slopes_of_every_branch_are_those_of_differences_and_zero_where_there_is
             alpha = L3.alpha + t * jnp.array([0, 0.2, -0.1, 0, 0.3])
             turn = jnp.eye(3) + t * spin + t * t * spin @ spin / 2 + t**3 * spin @ spin @ spin / 6
             moved = goals.at[:, :3, :3].set(turn @ goals[:, :3, :3]).at[:, :3, 3].add(0.3 * t)
-            near = ikjax.project(dataclasses.replace(L3, a=a, alpha=alpha), moved, LENGTH, beside=0).branches
+            near = ikjax.project(
+                dataclasses.replace(L3, a=a, alpha=alpha), moved, LENGTH, extra_starts=0
+            ).branches
             return near.q, near.cost, near.position_error, near.rotation_error
 
         return jax.jvp(answer, (t,), (jnp.ones_like(t),))
@@ -231,6 +233,6 @@ def test_a_gantry_without_lengths_is_solved_tracked_and_projected(dtype):
     assert (np.asarray(sol.margin) > 0).all()
     path = ikjax.track(arm, goals, q[0])
     assert path.reached.all()
-    np.testing.assert_allclose(ikjax.project(arm, goals, beside=0).q, q, atol=1e-5)
+    np.testing.assert_allclose(ikjax.project(arm, goals, extra_starts=0).q, q, atol=1e-5)
     far = ikjax.solve(arm, jnp.asarray(goals).at[:, :3, 3].add(1))
-    assert np.isfinite(far.margin).all() and np.isfinite(ikjax.limit_distance(arm, q)).all()
+    assert np.isfinite(far.margin).all() and np.isfinite(ikjax.limit_clearance(arm, q)).all()

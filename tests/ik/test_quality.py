@@ -115,7 +115,7 @@ def test_scaling_an_arm_changes_no_measure_and_a_length_of_ones_own_does():
     np.testing.assert_allclose(measured(double, q), measured(arm, q), rtol=1e-12)
     whole = np.asarray(ikjax.jacobian(arm, q))
     np.testing.assert_allclose(
-        ikjax.manipulability(arm, q, length=1.0), abs(np.linalg.det(whole)), rtol=1e-10
+        ikjax.manipulability(arm, q, characteristic_length=1.0), abs(np.linalg.det(whole)), rtol=1e-10
     )
 
 
@@ -138,10 +138,10 @@ def test_limits_are_as_far_as_the_nearest_whatever_the_turns(dtype):
     q = np.array([[0.5, 0.3, 3], [0.5 + 2 * np.pi, 0.3, 0], [1.9, 0.3, 0], [-1.25, 0.3, 0], [0.5, 0.6, 0]])
     middle = 0.2 / size
     expected = [min(1.5, middle), min(1.5, middle), 0.1, -0.25, -0.1 / size]
-    np.testing.assert_allclose(ikjax.limit_distance(arm, q.astype(dtype)), expected, atol=1e-6)
+    np.testing.assert_allclose(ikjax.limit_clearance(arm, q.astype(dtype)), expected, atol=1e-6)
     free = dataclasses.replace(arm, limits=jnp.array([[-jnp.inf, jnp.inf]] * 3, dtype))
-    np.testing.assert_allclose(ikjax.limit_distance(free, q.astype(dtype)), np.pi, rtol=1e-6)
-    slopes = jax.grad(lambda arm, q: ikjax.limit_distance(arm, q).sum(), (0, 1))(free, q.astype(dtype))
+    np.testing.assert_allclose(ikjax.limit_clearance(free, q.astype(dtype)), np.pi, rtol=1e-6)
+    slopes = jax.grad(lambda arm, q: ikjax.limit_clearance(arm, q).sum(), (0, 1))(free, q.astype(dtype))
     assert all(np.isfinite(x).all() for x in jax.tree.leaves(slopes))
 
 
@@ -151,7 +151,7 @@ def test_a_limit_distance_is_positive_just_where_a_branch_is_within_limits():
     q = np.random.default_rng(3).uniform(-np.pi, np.pi, (300, 3))
     sol = ikjax.solve(arm, ikjax.fk(arm, q))
     inside = np.asarray(ikjax.within_limits(arm, sol).valid)
-    distance = np.asarray(ikjax.limit_distance(arm, sol.q))
+    distance = np.asarray(ikjax.limit_clearance(arm, sol.q))
     clear = np.asarray(sol.valid) & (np.abs(distance) > 1e-9)
     np.testing.assert_array_equal((distance > 0)[clear], inside[clear])
     assert 0 < inside.sum() < clear.sum()
@@ -184,7 +184,7 @@ def test_second_slopes_through_solve_are_those_of_differences_and_finite_at_sing
         goal = goal.at[:3, :3].set(rotation).at[:2, 3].add(t[:2])
         other = dataclasses.replace(arm, a=arm.a.at[1:3].add(t[3:]))
         q = ikjax.solve(other, goal).q
-        return jnp.stack([*(measure(other, q) for measure in MEASURES), ikjax.limit_distance(other, q)])
+        return jnp.stack([*(measure(other, q) for measure in MEASURES), ikjax.limit_clearance(other, q)])
 
     first = jax.jit(jax.vmap(jax.jacfwd(measures), (None, 0)))
     second = np.asarray(jax.jit(jax.vmap(jax.hessian(measures), (None, 0)))(zero, goals))

@@ -126,7 +126,7 @@ def test_it_ends_where_no_small_move_improves_and_never_above_its_start():
 
 
 @pytest.mark.slow
-def test_a_loss_of_ones_own_is_minimised_within_limits():
+def test_a_loss_of_ones_own_is_minimized_within_limits():
     goals = wild(ARM, 4)
 
     def posture(arm, goal, q):
@@ -141,7 +141,7 @@ def test_a_loss_of_ones_own_is_minimised_within_limits():
     assert ((q >= LOW) & (q <= HIGH)).all()
 
 
-def test_a_goal_that_is_no_pose_is_not_converged_and_leaves_its_neighbours():
+def test_a_goal_that_is_no_pose_is_not_converged_and_leaves_its_neighbors():
     goals, q0, near = refined()
     bad = goals.copy()
     bad[7, 0, 3] = np.nan
@@ -156,7 +156,10 @@ def test_a_goal_that_is_no_pose_is_not_converged_and_leaves_its_neighbours():
     ("call", "text"),
     [
         (lambda: ikjax.refine(ARM, np.eye(4), np.zeros(4)), r"q0 must have shape \(5,\)"),
-        (lambda: ikjax.refine(ARM, np.eye(4), np.zeros(5), 0.0), "length must be a positive number"),
+        (
+            lambda: ikjax.refine(ARM, np.eye(4), np.zeros(5), 0.0),
+            "characteristic_length must be a positive number",
+        ),
         (lambda: ikjax.refine(ARM, np.eye(3), np.zeros(5)), "goals must have shape"),
     ],
 )
@@ -172,7 +175,7 @@ def test_an_arm_that_moves_in_a_plane_is_asked_for_what_lies_in_its_own(name):
     low, high = np.clip(np.array(arm.limits).T, -3, 10)
     q = np.random.default_rng(2).uniform(low, high, (40, 3))
     goals = ikjax.fk(arm, q)
-    near = ikjax.refine(arm, goals, np.clip(q + 0.05, low, high), length=float(reach(arm)))
+    near = ikjax.refine(arm, goals, np.clip(q + 0.05, low, high), characteristic_length=float(reach(arm)))
     gap, turn = ikjax.pose_error(ikjax.fk(arm, near.q), goals)
     np.testing.assert_allclose(near.position_error, gap, atol=1e-9)
     assert near.converged.all() and gap.max() < 1e-6 and turn.max() < 1e-6
@@ -220,7 +223,7 @@ def test_branches_that_are_level_do_not_take_turns(dtype):
     [
         ({"optimizer": optax.sgd(0.1)}, "optimizer is of a loss"),
         ({"loss": lambda arm, goal, q: q[0], "priority": "position"}, "priority is of the errors"),
-        ({"length": np.ones(2)}, "length must be a positive number"),
+        ({"length": np.ones(2)}, "characteristic_length must be a positive number"),
         ({"q0": np.zeros((0, 5))}, "q0 must hold at least one start"),
         ({"steps": -1}, "steps must be a whole number, not negative, got -1"),
     ],

@@ -22,11 +22,11 @@ UR = {
 }
 
 
-def arm_of(table, tolerance=None, **change):
+def arm_of(table, axis_tolerance=None, **change):
     table = {key: np.array(table[key], float) for key in table}
     for entry, value in change.items():
         table[entry[:-1]][int(entry[-1]) - 1] += value
-    return ikjax.Arm.from_dh(**table, convention="standard", name="mine", tolerance=tolerance)
+    return ikjax.Arm.from_dh(**table, convention="standard", name="mine", axis_tolerance=axis_tolerance)
 
 
 def calibrated(rng, size):
@@ -48,7 +48,7 @@ def test_the_tolerance_that_helps_is_named_and_helps(table, change, family):
     assert arm.family is None
     text = refusal(arm)
     tolerance = re.search(
-        rf"project\(\) takes any arm; within ([\de.-]+) it is {family}: .*tolerance=(\S+);", text
+        rf"project\(\) takes any arm; within ([\de.-]+) it is {family}: .*axis_tolerance=(\S+);", text
     )
     off, tolerance = float(tolerance[1]), tolerance[2]
     assert tolerance in LADDER and off <= 1.5 * float(tolerance)
@@ -58,7 +58,7 @@ def test_the_tolerance_that_helps_is_named_and_helps(table, change, family):
 def test_a_calibrated_table_is_told_its_tolerance_with_or_without_a_correction(rng):
     table = calibrated(rng, 1e-4)
     arm = arm_of(table)
-    assert "it is three_parallel: build it with tolerance=1e-3" in refusal(arm)
+    assert "it is three_parallel: build it with axis_tolerance=1e-3" in refusal(arm)
     assert arm_of(table, 1e-3).family == "three_parallel"
     # Not enough of a tolerance: what is kept in the correction counts as well.
     small = arm_of(table, 1e-5)

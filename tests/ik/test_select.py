@@ -178,7 +178,7 @@ class TestWithinLimits:
         assert self.moved(arm, 1.0) == (1.0, False)
         assert self.moved(arm, 3.0) == (3.0, True)
 
-    def test_one_joint_outside_clears_the_slot_but_not_its_neighbour(self):
+    def test_one_joint_outside_clears_the_slot_but_not_its_neighbor(self):
         arm = limited(-1, 1)
         sol = ikjax.within_limits(arm, solutions([row(0.0), row(2.0)]))
         assert sol.valid.tolist() == [True, False]

@@ -225,7 +225,7 @@ def test_a_tolerance_widens_what_is_valid():
     stretched = np.eye(4)
     stretched[0, 3], stretched[1, 3] = 0.4318 + np.hypot(0.4318, 0.0203) + 1e-4, 0.15005
     assert not ikjax.solve(ARM, stretched).valid.any()
-    sol = ikjax.solve(ARM, stretched, tolerance=1e-3)
+    sol = ikjax.solve(ARM, stretched, pose_tolerance=1e-3)
     assert sol.valid.any()
     assert float(sol.margin.max()) == pytest.approx(-1e-4, rel=1e-6)
 

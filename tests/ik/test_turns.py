@@ -34,7 +34,7 @@ def ur5(dtype=np.float64) -> ikjax.Arm:
 
 
 def any_limits(rng, dtype) -> np.ndarray:
-    """Of six joints: beyond a turn, off the centre, one-sided, none."""
+    """Of six joints: beyond a turn, off the center, one-sided, none."""
     low = rng.uniform(-9, 6, 6)
     limits = np.stack([low, low + rng.uniform(0, 20, 6)], 1).astype(dtype)
     limits[rng.random((6, 2)) < 0.15] = np.inf
@@ -103,7 +103,7 @@ def test_nearest_and_within_limits_take_the_best_of_all_turns(kinds, seed, dtype
         inside = ikjax.within_limits(arm, sol)
         np.testing.assert_allclose(inside.q, np.where(found, least, sol.q), atol=tolerance(dtype))
         alone += inside.valid.sum()
-        distance = np.asarray(ikjax.limit_distance(arm, sol.q))
+        distance = np.asarray(ikjax.limit_clearance(arm, sol.q))
         np.testing.assert_array_equal(inside.valid, np.asarray(sol.valid) & (distance >= 0))
     assert alone > 20 and refused > 20
 

@@ -21,7 +21,7 @@ def study() -> dict:
     turned[:, 1, 0] = np.sin(angle)
     turned[:, 0, 1] = -turned[:, 1, 0]
     turned[:, 2, 2] = 1
-    grid = ikjax.grid((-0.35, -0.35, -0.1), (0.35, 0.35, 0), 0.1)
+    grid = ikjax.maps.grid((-0.35, -0.35, -0.1), (0.35, 0.35, 0), 0.1)
     assert grid.shape == (8, 8, 2)
     flipped = turned * (1, -1, -1)  # the tool of a SCARA looks down
     return {"positions": grid, "orientations": np.concatenate([turned, flipped]), "dtype": "float32"}

@@ -25,7 +25,7 @@ def at_the_edge(arm, count: int = 400):
     goals = np.array(ikjax.fk(arm, q))
     hand = goals[:, :3, 2] * float(np.asarray(arm.d)[-1] if arm.n == 6 else 0)
     points = goals[:, :3, 3] - hand + np.resize(hand[:8], hand.shape)
-    return ikjax.surface(points * (1 + rng.uniform(-3e-6, 3e-6, (count, 1)))), goals[:8, :3, :3]
+    return ikjax.maps.surface(points * (1 + rng.uniform(-3e-6, 3e-6, (count, 1)))), goals[:8, :3, :3]
 
 
 @pytest.mark.parametrize("name", ["gx4_351s", pytest.param("puma560", marks=pytest.mark.slow)])
@@ -46,7 +46,7 @@ def test_sums_and_turns_of_the_tool_are_certified_too(tmp_path):
     points, turns = at_the_edge(arm, 64)
     names = ("solutions", "mean_manipulability", "best_margin", "mask")
     wide, certified = (
-        ikjax.sweep(arm, points, turns, rolls=3, statistics=names, **options)
+        ikjax.sweep(arm, points, turns, free_rolls=3, statistics=names, **options)
         for options in ({"dtype": "float64"}, {"dtype": "float32", "certify": True, "out": tmp_path / "map"})
     )
     np.testing.assert_array_equal(certified.solutions, wide.solutions)
@@ -57,14 +57,14 @@ def test_sums_and_turns_of_the_tool_are_certified_too(tmp_path):
     # What was stored is enough to make it again.
     again = ikjax.ReachMap.load(tmp_path / "map")
     kept = ikjax.sweep(
-        again.arm, again.grid, turns, rolls=3, statistics=names, dtype="float32", certify=True,
+        again.arm, again.positions, turns, free_rolls=3, statistics=names, dtype="float32", certify=True,
         out=tmp_path / "map", resume=True,
     )  # fmt: skip
     assert kept.units.kept == kept.units.total
 
 
 def test_what_cannot_be_certified_is_refused():
-    arm, points = ikjax.robots.gx4_351s(), ikjax.grid((0, 0, 0), (0.1, 0, 0), 0.1)
+    arm, points = ikjax.robots.gx4_351s(), ikjax.maps.grid((0, 0, 0), (0.1, 0, 0), 0.1)
     with pytest.raises(ValueError, match="certify is for float32 sweeps, got dtype float64"):
         ikjax.sweep(arm, points, 8, dtype="float64", certify=True)
     with pytest.raises(ValueError, match="certify needs a statistic that counts, got best_margin"):
@@ -76,7 +76,7 @@ def test_arms_alike_in_float32_are_certified_each_as_given():
     shorter = dataclasses.replace(arm, a=arm.a.at[1].add(-1e-8))
     assert (shorter.astype("float32").a == arm.astype("float32").a).all()
     stretched = np.array(ikjax.fk(arm, np.array([0.3, 0, 0.05, 0])))
-    points, turns = ikjax.surface(stretched[None, :3, 3]), stretched[None, :3, :3]
+    points, turns = ikjax.maps.surface(stretched[None, :3, 3]), stretched[None, :3, :3]
     options = {"dtype": "float32", "certify": True, "statistics": "reachable"}
     found = [int(ikjax.sweep(each, points, turns, **options).reachable.sum()) for each in (arm, shorter)]
     assert found == [1, 0]

@@ -10,8 +10,12 @@ from ikjax.maps import statistics
 @pytest.mark.slow
 def test_near_counts_the_orientations_that_the_closed_form_comes_near():
     arm = ikjax.robots.so101()
-    grid, turns = ikjax.grid((-0.4, -0.3, -0.1), (0.5, 0.4, 0.4), 0.1), ikjax.even_rotations(40)
-    near = [ikjax.Near(0.001, 0.4), ikjax.Near(0.03, 3.2, name="point"), ikjax.Near(0.001, 0.0, name="none")]
+    grid, turns = ikjax.maps.grid((-0.4, -0.3, -0.1), (0.5, 0.4, 0.4), 0.1), ikjax.maps.even_rotations(40)
+    near = [
+        ikjax.maps.Near(0.001, 0.4),
+        ikjax.maps.Near(0.03, 3.2, name="point"),
+        ikjax.maps.Near(0.001, 0.0, name="none"),
+    ]
     swept = ikjax.sweep(arm, grid, turns, dtype="float64", statistics=[*near, "reachable_within"])
     goals = np.broadcast_to(np.eye(4), (*grid.shape, 40, 4, 4)).copy()
     goals[..., :3, :3], goals[..., :3, 3] = turns, grid.points()[..., None, :]
@@ -25,11 +29,11 @@ def test_near_counts_the_orientations_that_the_closed_form_comes_near():
 
 def test_what_is_near_is_no_angle_below_zero_and_no_doubt():
     with pytest.raises(ValueError, match="rotation must be a tolerance"):
-        ikjax.Near(0.01, -0.1)
+        ikjax.maps.Near(0.01, -0.1)
     with pytest.raises(ValueError, match="name must be"):
-        ikjax.Near(0.01, 0.1, name="Near enough")
+        ikjax.maps.Near(0.01, 0.1, name="Near enough")
     with pytest.raises(ValueError, match="certify knows no doubts"):
-        statistics.certified(planned("reachable", ikjax.Near(0.001, 0.4)))
+        statistics.certified(planned("reachable", ikjax.maps.Near(0.001, 0.4)))
 
 
 def planned(*wanted) -> statistics.Plan:
@@ -37,5 +41,5 @@ def planned(*wanted) -> statistics.Plan:
 
 
 def test_tolerances_are_part_of_what_a_map_says():
-    told = [planned(ikjax.Near(0.01, angle)).told()["near"] for angle in (0.1, 0.2)]
+    told = [planned(ikjax.maps.Near(0.01, angle)).told()["near"] for angle in (0.1, 0.2)]
     assert told[0] != told[1] and told[0]["near"] == [0.01, 0.1]

@@ -15,7 +15,7 @@ from ikjax.maps import statistics
 from ikjax.maps.kernel import joint_measures
 
 NAMES = (
-    *("best_margin_within", "best_limit_distance", "best_manipulability", "mean_manipulability_within"),
+    *("best_margin_within", "best_limit_share", "best_manipulability", "mean_manipulability_within"),
     *("best_sigma_min_within", "mean_sigma_min"),
 )
 
@@ -48,9 +48,11 @@ def singular(arm, solved):
 @pytest.fixture(scope="module")
 def swept():
     own = [
-        ikjax.Measure("elbows", lambda sol: sol.valid.sum(-1), "sum"),
-        ikjax.Measure("spread", lambda sol: jnp.abs(sol.q[..., 0, 1] - sol.q[..., 1, 1]), "sum", unit=2**-10),
-        ikjax.Measure("least", lambda sol: jnp.where(sol.valid, sol.q[..., 2], jnp.inf).min(-1), "min"),
+        ikjax.maps.Measure("elbows", lambda sol: sol.valid.sum(-1), "sum"),
+        ikjax.maps.Measure(
+            "spread", lambda sol: jnp.abs(sol.q[..., 0, 1] - sol.q[..., 1, 1]), "sum", unit=2**-10
+        ),
+        ikjax.maps.Measure("least", lambda sol: jnp.where(sol.valid, sol.q[..., 2], jnp.inf).min(-1), "min"),
     ]
     return small.swept(statistics=[*NAMES, *own], dtype="float64")
 
@@ -81,7 +83,7 @@ def test_limit_distance_and_margin_are_those_of_the_best_solution(arm, swept, so
     away = np.abs(np.asarray(inside.q)[..., limited] - (lower + upper) / 2)
     share = (1 - away / ((upper - lower) / 2)).min(-1)
     best = np.where(inside.valid, share, -np.inf).max((1, 2))
-    found = swept.arrays["best_limit_distance"].reshape(-1)
+    found = swept.arrays["best_limit_share"].reshape(-1)
     hit = best >= 0
     assert hit.any() and np.allclose(found[hit], best[hit], atol=1e-6) and (found[~hit] < 0).all()
     assert np.isneginf(found[~np.asarray(solved.valid).any((1, 2))]).all()
@@ -107,7 +109,7 @@ def test_bits_do_not_depend_on_units_and_another_program_is_another_study(tmp_pa
     pytest.importorskip("tensorstore")
 
     def names(step):
-        own = ikjax.Measure("turned", lambda sol: jnp.sin(step * sol.q[..., 0, 0]), "sum", unit=1e-3)
+        own = ikjax.maps.Measure("turned", lambda sol: jnp.sin(step * sol.q[..., 0, 0]), "sum", unit=1e-3)
         return ["mean_manipulability", "mask", "branches_within", own]
 
     whole = small.swept(statistics=names(1))
@@ -122,26 +124,29 @@ def test_bits_do_not_depend_on_units_and_another_program_is_another_study(tmp_pa
 
 
 def test_numbers_that_cannot_be_summed_exactly_are_refused():
-    wild = ikjax.Measure("wild", lambda sol: 1 / (sol.q[..., 0, 0] - sol.q[..., 0, 0]), "sum")
+    wild = ikjax.maps.Measure("wild", lambda sol: 1 / (sol.q[..., 0, 0] - sol.q[..., 0, 0]), "sum")
     with pytest.raises(ValueError, match="wild gave numbers that are not finite"):
         small.swept(statistics=[wild])
 
 
 def test_without_limits_nothing_is_near_one(arm):
     free = dataclasses.replace(arm, limits=np.tile([-np.inf, np.inf], (4, 1)))
-    reach = ikjax.sweep(free, **small.study(), statistics=["best_limit_distance", "reachable"])
-    assert (reach.arrays["best_limit_distance"][reach.reachable > 0] == 1).all()
+    reach = ikjax.sweep(free, **small.study(), statistics=["best_limit_share", "reachable"])
+    assert (reach.arrays["best_limit_share"][reach.reachable > 0] == 1).all()
 
 
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: ikjax.Measure("a b", len, "sum"), "name must be of small letters"),
-        (lambda: ikjax.Measure("a", len, "mean"), 'reduce must be "sum", "max" or "min"'),
-        (lambda: ikjax.Measure("a", len, "sum", unit=0), "unit must be a positive number"),
-        (lambda: small.swept(statistics=[ikjax.Measure("a", lambda sol: sol.q, "max")]), "one number a goal"),
+        (lambda: ikjax.maps.Measure("a b", len, "sum"), "name must be of small letters"),
+        (lambda: ikjax.maps.Measure("a", len, "mean"), 'reduce must be "sum", "max" or "min"'),
+        (lambda: ikjax.maps.Measure("a", len, "sum", unit=0), "unit must be a positive number"),
         (
-            lambda: small.swept(statistics=[ikjax.Measure("mask", lambda sol: 1, "max")]),
+            lambda: small.swept(statistics=[ikjax.maps.Measure("a", lambda sol: sol.q, "max")]),
+            "one number a goal",
+        ),
+        (
+            lambda: small.swept(statistics=[ikjax.maps.Measure("mask", lambda sol: 1, "max")]),
             "some of",
         ),
         (lambda: small.swept(statistics=["reachable", "reachable"]), "some of"),
@@ -199,7 +204,7 @@ def with_weights(weights) -> dict:
 @pytest.mark.parametrize("name", with_weights([1.0, 1.0]))
 def test_every_number_that_a_measure_holds_is_part_of_its_program(arm, name):
     first, again, other = (
-        ikjax.Measure("score", with_weights(w)[name], "max").facts(arm)["code"]
+        ikjax.maps.Measure("score", with_weights(w)[name], "max").facts(arm)["code"]
         for w in ([1.0, 1.0], [1.0, 1.0], [5.0, 5.0])
     )
     assert first == again != other
@@ -207,7 +212,7 @@ def test_every_number_that_a_measure_holds_is_part_of_its_program(arm, name):
 
 def test_what_a_measure_reads_from_outside_counts_as_it_is_when_the_sweep_begins():
     weight = [1.0]
-    own = [ikjax.Measure("score", lambda sol: weight[0] * sol.margin.max(-1), "max")]
+    own = [ikjax.maps.Measure("score", lambda sol: weight[0] * sol.margin.max(-1), "max")]
     one = small.swept(statistics=own).arrays["score"]
     weight[0] = 4.0
     np.testing.assert_array_equal(small.swept(statistics=own).arrays["score"], 4 * one)
@@ -225,10 +230,10 @@ def test_a_measure_whose_program_cannot_be_told_is_refused(arm):
         (host, "score must be made by jax alone, got pure_callback"),
     ):
         with pytest.raises(ValueError, match=message):
-            small.swept(statistics=[ikjax.Measure("score", function, "max")])
+            small.swept(statistics=[ikjax.maps.Measure("score", function, "max")])
 
 
 def test_a_statistic_is_not_called_as_an_axis_of_the_map_is():
     for name in ("x", "rotations"):
         with pytest.raises(ValueError, match=f"cannot keep a statistic '{name}'"):
-            small.swept(statistics=[ikjax.Measure(name, lambda sol: sol.margin.max(-1), "max")])
+            small.swept(statistics=[ikjax.maps.Measure(name, lambda sol: sol.margin.max(-1), "max")])

@@ -161,23 +161,25 @@ def head_of(out) -> manifest.Head:
 
 def test_another_spec_is_refused_with_both_fingerprints(copy, whole):
     with pytest.raises(ValueError) as caught:
-        small.swept(copy, resume=True, dtype="float64", positions=ikjax.grid((0, 0, 0), (1, 1, 1), 0.25))
+        small.swept(copy, resume=True, dtype="float64", positions=ikjax.maps.grid((0, 0, 0), (1, 1, 1), 0.25))
     said = str(caught.value)
     assert specs.fingerprint(head_of(whole).spec) in said and said.count("fingerprint") == 1
-    assert 'dtype: "float32" there, "float64" here' in said and "grid.spacing: 0.1 there, 0.25 here" in said
+    assert (
+        'dtype: "float32" there, "float64" here' in said and "positions.spacing: 0.1 there, 0.25 here" in said
+    )
     with pytest.raises(ValueError, match=r"has chunk \(4, 4, 1\), got chunk \(2, 2, 2\)"):
         small.swept(copy, resume=True, chunk=(2, 2, 2))
     assert small.files(copy) == small.files(whole)
 
 
 def test_a_finished_map_gives_way_to_a_new_one_only_by_force(copy, whole):
-    coarse = ikjax.grid((-0.3, -0.3, -0.1), (0.3, 0.3, 0), 0.3)
+    coarse = ikjax.maps.grid((-0.3, -0.3, -0.1), (0.3, 0.3, 0), 0.3)
     for options in ({}, {"positions": coarse}):
         with pytest.raises(FileExistsError, match=r"a finished map; go on with resume=True .*--force"):
             small.swept(copy, **options)
     with pytest.raises(FileExistsError, match=r"a finished map; .*--force"):
         ikjax.ReachMap.load(copy).save(copy)
-    with pytest.raises(ValueError, match=r"grid\.spacing: 0.1 there, 0.3 here.*--force"):
+    with pytest.raises(ValueError, match=r"positions\.spacing: 0.1 there, 0.3 here.*--force"):
         small.swept(copy, positions=coarse, resume=True, chunk=None)
     assert small.files(copy) == small.files(whole)
     assert small.swept(copy, resume=True, force=True).units.kept == small.UNITS
@@ -185,7 +187,7 @@ def test_a_finished_map_gives_way_to_a_new_one_only_by_force(copy, whole):
     back = small.swept(copy, positions=coarse, resume=True, force=True)
     assert (copy / "c" / "notes").exists()
     assert small.bits(small.swept(copy, positions=coarse, force=True)) == small.bits(back)
-    assert back.grid == coarse and back.units.missing == back.units.total
+    assert back.positions == coarse and back.units.missing == back.units.total
     assert small.bits(back) == small.bits(small.swept(positions=coarse))
     assert len(list((copy / "reachable" / "c").rglob("*/*/*"))) == back.units.total
 
@@ -405,7 +407,7 @@ def test_an_error_of_the_store_ends_a_sweep_that_can_go_on(monkeypatch, tmp_path
 
 def test_a_stored_map_is_read_when_it_is_asked_for(copy, memory):
     reach = ikjax.ReachMap.load(copy)
-    shape = reach.grid.shape
+    shape = reach.positions.shape
     data = np.frombuffer(memory["solutions"], np.int32).reshape(shape)
     (copy / "solutions" / "c" / "1" / "1" / "1").write_bytes(b"")
     assert (reach.arrays["solutions"][:4, 2] == data[:4, 2]).all()
@@ -415,7 +417,7 @@ def test_a_stored_map_is_read_when_it_is_asked_for(copy, memory):
 
 def test_the_arm_in_a_map_is_the_arm_that_was_given(tmp_path):
     arm = ikjax.robots.ur5()
-    reach = ikjax.sweep(arm, ikjax.around(arm, 0.5), 4, dtype="float32", out=tmp_path / "map.zarr")
+    reach = ikjax.sweep(arm, ikjax.maps.around(arm, 0.5), 4, dtype="float32", out=tmp_path / "map.zarr")
     assert np.array_equal(reach.arm.alpha, arm.alpha) and reach.arm.dtype == arm.dtype
 
 
@@ -427,7 +429,7 @@ def test_a_map_becomes_a_dataset_or_says_what_to_install(copy, memory):
         return
     data = reach.to_xarray()
     assert {name: data[name].values.tobytes() for name in USUAL} == memory
-    assert data.sizes == {"x": 8, "y": 8, "z": 2} and np.array_equal(data.x, reach.grid.axis(0))
+    assert data.sizes == {"x": 8, "y": 8, "z": 2} and np.array_equal(data.x, reach.positions.axis(0))
     assert data.attrs["orientations"] == 48
 
 
@@ -465,7 +467,7 @@ def test_an_arm_in_a_map_keeps_its_coupling_and_correction(tmp_path, rng):
 
 def test_a_spec_does_not_depend_on_the_type_that_an_arm_comes_in():
     arm = ikjax.robots.puma560()
-    around, turns = ikjax.around(arm, 1), Listed(np.eye(3)[None])
+    around, turns = ikjax.maps.around(arm, 1), Listed(np.eye(3)[None])
     kept = plan(arm, USUAL, 1).told()
     rest = around, turns, 1, "float32", kept, manifest.fixed(around, turns)
     spec = specs.of_study(arm, *rest)

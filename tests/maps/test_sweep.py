@@ -18,7 +18,7 @@ def arm():
 @pytest.fixture(scope="module")
 def reach(arm):
     # 45 orientations do not fill a tile, 7 x 7 x 7 positions do not fill a block.
-    return ikjax.sweep(arm, ikjax.around(arm, 0.4), 45, dtype="float64")
+    return ikjax.sweep(arm, ikjax.maps.around(arm, 0.4), 45, dtype="float64")
 
 
 @pytest.mark.parametrize(
@@ -26,10 +26,10 @@ def reach(arm):
 )
 def test_a_sweep_counts_what_solve_answers(name):
     arm = ikjax.robots.get(name)
-    reach = ikjax.sweep(arm, ikjax.around(arm, 0.4), 45, dtype="float64")
-    goals = np.zeros((*reach.grid.shape, 45, 4, 4))
+    reach = ikjax.sweep(arm, ikjax.maps.around(arm, 0.4), 45, dtype="float64")
+    goals = np.zeros((*reach.positions.shape, 45, 4, 4))
     goals[..., :3, :3], goals[..., 3, 3] = reach.rotations, 1
-    goals[..., :3, 3] = reach.grid.points()[..., None, :]
+    goals[..., :3, 3] = reach.positions.points()[..., None, :]
     sol = ikjax.solve(arm, goals)
     inside = ikjax.within_limits(arm, sol)
     assert (reach.reachable == np.asarray(sol.valid).any(-1).sum(-1)).all()
@@ -45,10 +45,10 @@ def test_limits_of_every_width_are_told_by_sines_and_cosines(rng):
     for widths in ([7.0, 4.0, 7.0, 6.2, 7.0, 0.5], [3.0, 7.0, 4.0, 7.0, 3.0, 7.0]):
         lower = rng.uniform(-4, 4, 6)
         tight = dataclasses.replace(arm, limits=np.stack([lower, lower + widths], -1))
-        reach = ikjax.sweep(tight, ikjax.grid((0.3, 0, 0), (0.6, 0.3, 0.3), 0.1), 40, dtype="float64")
-        goals = np.zeros((*reach.grid.shape, 40, 4, 4))
+        reach = ikjax.sweep(tight, ikjax.maps.grid((0.3, 0, 0), (0.6, 0.3, 0.3), 0.1), 40, dtype="float64")
+        goals = np.zeros((*reach.positions.shape, 40, 4, 4))
         goals[..., :3, :3], goals[..., 3, 3] = reach.rotations, 1
-        goals[..., :3, 3] = reach.grid.points()[..., None, :]
+        goals[..., :3, 3] = reach.positions.points()[..., None, :]
         inside = ikjax.within_limits(tight, ikjax.solve(tight, goals))
         assert (reach.solutions_within == np.asarray(inside.valid).sum((-1, -2))).all()
         assert 0 < reach.solutions_within.sum() < reach.solutions.sum() / 2
@@ -67,7 +67,7 @@ def test_a_map_comes_back_from_disk_as_it_went(reach, tmp_path):
         "rotations",
     ):
         assert np.array_equal(getattr(back, name), getattr(reach, name))
-    assert back.summary() == reach.summary() and back.grid == reach.grid
+    assert back.summary() == reach.summary() and back.positions == reach.positions
     assert str(back.arm) == str(reach.arm) and back.arm.family == reach.arm.family
 
 
@@ -91,13 +91,13 @@ def test_a_map_of_another_schema_or_changed_by_hand_is_refused(reach, tmp_path):
     path = tmp_path / "map.zarr"
     reach.save(path)
     group = json.loads((path / "zarr.json").read_text())
-    group["attributes"]["spec"]["grid"]["spacing"] = 0.1
+    group["attributes"]["spec"]["positions"]["spacing"] = 0.1
     (path / "zarr.json").write_text(json.dumps(group))
     with pytest.raises(ValueError, match="changed by hand or damaged"):
         ikjax.ReachMap.load(path)
     group["attributes"]["ikjax_schema"] = manifest.SCHEMA + 1
     (path / "zarr.json").write_text(json.dumps(group))
-    with pytest.raises(ValueError, match=r"has schema 4, this version reads schema 3"):
+    with pytest.raises(ValueError, match=r"has schema 5, this version reads schema 4"):
         ikjax.ReachMap.load(path)
 
 
@@ -110,18 +110,18 @@ def test_saving_leaves_a_folder_that_is_no_map_alone(reach, tmp_path):
 
 
 def test_even_rotations_are_rotations_and_even():
-    rotations = ikjax.even_rotations(1000)
+    rotations = ikjax.maps.even_rotations(1000).rotations
     gap = np.swapaxes(rotations, 1, 2) @ rotations - np.eye(3)
     assert np.abs(gap).max() < 1e-14 and np.linalg.det(rotations).min() > 0.999
-    # The nearest neighbour of each: random ones come as close as 2 degrees, even ones do not.
+    # The nearest neighbor of each: random ones come as close as 2 degrees, even ones do not.
     cosine = (np.einsum("aij,bij->ab", rotations, rotations) - 1) / 2
     np.fill_diagonal(cosine, -1)
     assert np.degrees(np.arccos(cosine.max(1))).min() > 8
     assert np.abs(rotations.mean(0)).max() < 0.01
 
 
-def test_a_grid_fills_its_box_and_is_centred():
-    grid = ikjax.grid((0, 0, 0), (1, 0.55, 0), 0.25)
+def test_a_grid_fills_its_box_and_is_centerd():
+    grid = ikjax.maps.grid((0, 0, 0), (1, 0.55, 0), 0.25)
     assert grid.shape == (5, 3, 1) and grid.count == 15
     assert np.allclose(grid.points()[0, 0, 0], (0, 0.025, 0))
     assert np.allclose(grid.points()[-1, -1, -1], (1, 0.525, 0))
@@ -130,11 +130,14 @@ def test_a_grid_fills_its_box_and_is_centred():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda arm: ikjax.grid((0, 0), (1, 1), 0.1), r"shape \(3,\), got \(2,\)"),
-        (lambda arm: ikjax.grid((1, 0, 0), (0, 1, 1), 0.1), "lower must not exceed upper"),
-        (lambda arm: ikjax.sweep(arm, ikjax.around(arm, 1), np.ones((2, 3))), r"rotations \(m, 3, 3\)"),
-        (lambda arm: ikjax.sweep(arm, ikjax.around(arm, 1), -np.eye(3)[None]), r"orientations\[0\] must be"),
-        (lambda arm: ikjax.sweep(arm, ikjax.around(arm, 1), 5, dtype="float16"), "float32 or float64"),
+        (lambda arm: ikjax.maps.grid((0, 0), (1, 1), 0.1), r"shape \(3,\), got \(2,\)"),
+        (lambda arm: ikjax.maps.grid((1, 0, 0), (0, 1, 1), 0.1), "lower must not exceed upper"),
+        (lambda arm: ikjax.sweep(arm, ikjax.maps.around(arm, 1), np.ones((2, 3))), r"rotations \(m, 3, 3\)"),
+        (
+            lambda arm: ikjax.sweep(arm, ikjax.maps.around(arm, 1), -np.eye(3)[None]),
+            r"orientations\[0\] must be",
+        ),
+        (lambda arm: ikjax.sweep(arm, ikjax.maps.around(arm, 1), 5, dtype="float16"), "float32 or float64"),
     ],
 )
 def test_bad_sweeps_are_refused_by_name(arm, call, message):

@@ -17,7 +17,7 @@ GOAL = ikjax.pose(xyz=(0.4, 0.2, 0.3), rpy=(3.14, 0, 0.6))
 @pytest.fixture(scope="module")
 def reach():
     arm = ikjax.robots.puma560()
-    return ikjax.sweep(arm, ikjax.around(arm, 0.2), 16)
+    return ikjax.sweep(arm, ikjax.maps.around(arm, 0.2), 16)
 
 
 @pytest.fixture(autouse=True)
@@ -50,9 +50,12 @@ def test_a_map_becomes_a_picture_and_is_closed(reach, tmp_path):
 def test_slices_choose_the_panels(reach):
     figure = plot.reach_map(reach, slices=[("x", 0.1), ("z", 0.3), ("z", -0.3)], q=np.zeros(6))
     titles = [ax.get_title(loc="left") for ax in figure.axes]
-    near = {k: reach.grid.axis(k)[np.abs(reach.grid.axis(k) - v).argmin()] for k, v in ((0, 0.1), (2, 0.3))}
+    near = {
+        k: reach.positions.axis(k)[np.abs(reach.positions.axis(k) - v).argmin()]
+        for k, v in ((0, 0.1), (2, 0.3))
+    }
     assert titles[:2] == [f"x = {near[0]:.2f} m", f"z = {near[2]:.2f} m"]
-    assert len(figure.axes) == 4  # and the colour bar
+    assert len(figure.axes) == 4  # and the color bar
 
 
 @pytest.mark.parametrize("piece", [("w", 0), ("xy", 0), ("", 0), ("x", "up"), "x", 3])
@@ -63,7 +66,7 @@ def test_a_slice_that_is_none_is_named(reach, piece):
 
 def test_a_map_where_nothing_is_reached_is_a_picture_too(tmp_path):
     arm = ikjax.robots.puma560()
-    empty = ikjax.sweep(arm, ikjax.grid((5, 5, 5), (5.4, 5.4, 5.4), 0.2), 4)
+    empty = ikjax.sweep(arm, ikjax.maps.grid((5, 5, 5), (5.4, 5.4, 5.4), 0.2), 4)
     plot.reach_map(empty, tmp_path / "empty.png")
     assert is_png(tmp_path / "empty.png")
 
@@ -91,17 +94,17 @@ def test_a_shell_becomes_discs_and_a_surface_points(reach, tmp_path):
     def fake(grid):
         counts = np.arange(grid.count, dtype=np.int32).reshape(grid.shape) % 17
         return dataclasses.replace(
-            reach, grid=grid, arrays={"reachable": counts, "reachable_within": counts // 2}
+            reach, positions=grid, arrays={"reachable": counts, "reachable_within": counts // 2}
         )
 
-    shell = fake(ikjax.shell((0, 0, 0), (0.5, 0.7), 60))
+    shell = fake(ikjax.maps.shell((0, 0, 0), (0.5, 0.7), 60))
     figure = plot.reach_map(shell)
     assert [ax.get_title() for ax in figure.axes[:2]] == [
         f"radius {r} m: {shell.dexterity[k].mean():.0%}" for k, r in enumerate((0.5, 0.7))
     ]
     balls = np.array([[0.5, 0, 0.1], [0.5, 0.2, 0.1], [3, 0, 0]])
     for normals in (None, [[0, 0, 1]] * 3):
-        part = fake(ikjax.surface(balls, normals))
+        part = fake(ikjax.maps.surface(balls, normals))
         plot.reach_map(part, tmp_path / "part.png")
         assert is_png(tmp_path / "part.png")
     for other in (shell, part):
@@ -123,7 +126,7 @@ def test_an_isosurface_of_a_ball_is_closed_and_has_its_volume():
 def test_solids_say_their_volume_and_leave_out_what_is_empty_or_twice(reach):
     figure = plot.nested(reach, levels=(0.0, 1e-6, 0.5, 1.5))
     titles = [ax.get_title() for ax in figure.axes if ax.get_title()]
-    volumes = [reach.grid.volume(reach.dexterity >= level) for level in (1e-9, 0.5)]
+    volumes = [reach.positions.volume(reach.dexterity >= level) for level in (1e-9, 0.5)]
     names = ("reached at all", "at least 50%")
     expected = [f"{name}: {volume:.3g} m³" for name, volume in zip(names, volumes, strict=True)]
     assert titles == list(dict.fromkeys(expected))[: len(titles)] and titles
@@ -131,13 +134,12 @@ def test_solids_say_their_volume_and_leave_out_what_is_empty_or_twice(reach):
 
 def test_a_globe_has_the_share_that_solving_each_direction_gives(reach):
     point = (0.5, 0.1, 0.2)
-    figure = plot.globe(reach.arm, point, directions=60, rolls=2)
-    turns = ikjax.cone((0, 0, 1), np.pi, 60, 2)
+    figure = plot.globe(reach.arm, point, directions=60, turns=2)
+    turns = ikjax.maps.cone((0, 0, 1), np.pi, 60, 2)
     goals = np.tile(np.eye(4), (120, 1, 1))
     goals[:, :3, 3] = point
-    from ikjax.maps.sets.orientations import rotations_of
 
-    goals[:, :3, :3] = rotations_of(turns)
+    goals[:, :3, :3] = turns.rotations
     sol = ikjax.within_limits(reach.arm, ikjax.solve(reach.arm, goals))
     share = float(np.asarray(sol.valid).any(-1).mean())
     assert figure.axes[0].get_title() == f"at (0.50, 0.10, 0.20) m: {share:.0%}"
@@ -148,7 +150,7 @@ def test_a_globe_has_the_share_that_solving_each_direction_gives(reach):
 def test_a_histogram_holds_the_volume_that_is_reached(reach):
     ax = plot.histogram(reach).axes[0]
     total = sum(bar.get_height() for bar in ax.patches)
-    np.testing.assert_allclose(total, reach.grid.volume(reach.reachable_within > 0))
+    np.testing.assert_allclose(total, reach.positions.volume(reach.reachable_within > 0))
     assert plot.histogram(reach, "best_margin").axes[0].get_xlabel() == "best margin [m]"
     with pytest.raises(ValueError, match="name must be one of dexterity, reachable"):
         plot.histogram(reach, "beauty")
@@ -166,10 +168,10 @@ def test_two_maps_are_compared_position_by_position(reach, tmp_path):
     plot.comparison(reach, changed, tmp_path / "two.png")
     assert is_png(tmp_path / "two.png")
     with pytest.raises(ValueError, match="must have the same positions"):
-        plot.comparison(reach, dataclasses.replace(reach, grid=ikjax.around(reach.arm, 0.3)))
+        plot.comparison(reach, dataclasses.replace(reach, positions=ikjax.maps.around(reach.arm, 0.3)))
 
 
-def test_the_colour_map_prints_in_grey():
+def test_the_color_map_prints_in_grey():
     from matplotlib import colormaps
 
     from ikjax.plot.style import MAP

@@ -21,7 +21,7 @@ viewer = pytest.importorskip("ikjax.plot.viewer")
 @pytest.fixture(scope="module")
 def reach():
     arm = ikjax.robots.puma560()
-    return ikjax.sweep(arm, ikjax.around(arm, 0.2), 16)
+    return ikjax.sweep(arm, ikjax.maps.around(arm, 0.2), 16)
 
 
 class Handle:
@@ -112,19 +112,21 @@ def test_the_slice_lies_where_the_slider_is_and_stands_as_the_grid_does(reach):
         shown.layer.set(value=share)
         image, width, height, wxyz, position = server.slice
         k = "xyz".index(axis)
-        ticks = reach.grid.axis(k)
+        ticks = reach.positions.axis(k)
         assert position[k] == ticks[round(share * (len(ticks) - 1))]
         turn = np.asarray(ikjax.pose(wxyz=wxyz))[:3, :3]
         across, up = (j for j in range(3) if j != k)
         np.testing.assert_allclose(turn[:, 0], np.eye(3)[across], atol=1e-12)
         np.testing.assert_allclose(turn[:, 1], -np.eye(3)[up], atol=1e-12)  # down, as images run
-        assert image.shape == (reach.grid.shape[up], reach.grid.shape[across], 4)
-        np.testing.assert_allclose([width, height], [reach.grid.spacing * image.shape[j] for j in (1, 0)])
+        assert image.shape == (reach.positions.shape[up], reach.positions.shape[across], 4)
+        np.testing.assert_allclose(
+            [width, height], [reach.positions.spacing * image.shape[j] for j in (1, 0)]
+        )
     # The lowest row of the image is the first along z.
     shown.axis.set(value="y")
     image = server.slice[0]
     layer = plane_index(reach, shown)
-    for row in range(reach.grid.shape[2]):
+    for row in range(reach.positions.shape[2]):
         empty = np.asarray(reach.reachable)[:, layer, row] == 0
         np.testing.assert_array_equal(image[-1 - row, :, 3] == 0, empty)
 
@@ -145,11 +147,11 @@ def test_a_click_on_the_slice_puts_the_goal_there(reach):
 
 
 def plane_index(reach, shown) -> int:
-    return round(shown.layer.value * (reach.grid.shape[1] - 1))
+    return round(shown.layer.value * (reach.positions.shape[1] - 1))
 
 
 def test_what_is_no_box_grid_is_refused(reach):
-    shell = dataclasses.replace(reach, grid=ikjax.shell((0, 0, 0), 0.5, 9))
+    shell = dataclasses.replace(reach, positions=ikjax.maps.shell((0, 0, 0), 0.5, 9))
     with pytest.raises(ValueError, match="shows box grids"):
         viewer.Viewer(shell, server=Server())
 
@@ -218,7 +220,7 @@ def test_in_a_browser_a_moved_slice_and_a_clicked_goal_change_what_is_shown(reac
             page.drag((x, y), (x + 24, y))
             browser.until(lambda: shown.layer.value > 0.6, 60, "the slider")
             at = shown.plane.at
-            assert at > reach.grid.axis(1)[6]
+            assert at > reach.positions.axis(1)[6]
             second = settled(page)
             assert (first != second).any(-1).mean() > 0.05
             # A click on the slice, beside the gizmo.

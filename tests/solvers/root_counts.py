@@ -164,11 +164,11 @@ def regional(kinds, C, p, W) -> list:
 def pieper(kinds, C, G) -> list:
     """Axes 4, 5 and 6 meet."""
     o, along = C[4][:3, 3], C[4][:3, 2]
-    centre = np.array([0, 0, o[2] - along[2] * (o[:2] @ along[:2]) / flat(along), 1], object)
-    last = inverse(C[5]) @ (inverse(C[4]) @ centre)
+    center = np.array([0, 0, o[2] - along[2] * (o[:2] @ along[:2]) / flat(along), 1], object)
+    last = inverse(C[5]) @ (inverse(C[4]) @ center)
     assert flat(last) < REAL**2, "the axes do not meet"
     ways = []
-    for joints in regional(kinds, C, centre, G @ last):
+    for joints in regional(kinds, C, center, G @ last):
         T = inverse(moved(kinds, C[1:4], joints)) @ G
         for five in roots("R", lambda z, T=T: (C[4][2] @ J(z) @ C[5])[2] - T[2, 2], 1):
             four = between((C[4] @ J(five) @ C[5])[:, 2], T[:, 2])

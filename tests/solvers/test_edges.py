@@ -17,7 +17,7 @@ KINDS = [kind for kind in itertools.product((0, 1), repeat=3) if any(kind)]
 PER_STEP = 16
 
 
-def wrist_centre(arm, q):
+def wrist_center(arm, q):
     """The point that joint 1 has to bring into the arm's plane, seen from axis 1's frame: (..., 3)."""
     every = arms.numpy_fk(arm, q, frames=True)
     point = every[..., 4 if arm.family == "ortho_parallel_wrist" else 5, :3, 3]

@@ -50,7 +50,7 @@ def _wrong(arm, sol, goals, dtype):
 
 
 @pytest.mark.parametrize("name", arm_patterns.NAMES)
-def test_the_family_is_recognised(name):
+def test_the_family_is_recognized(name):
     arm = arm_patterns.build(name)
     assert arm.family == family(name)
     assert len(set(arm.branches)) == len(arm.branches) >= 1
@@ -294,9 +294,9 @@ def test_joint_1_follows_q_now_where_it_is_arbitrary(name):
     every_frame = arms.numpy_fk(arm, q, frames=True)
     base = every_frame[0]
     goals = arms.numpy_fk(arm, q)[None]
-    centre = every_frame[4] if arm.n == 6 else goals[0]
+    center = every_frame[4] if arm.n == 6 else goals[0]
     # The point that joint 1 turns is moved onto its axis, and the goal with it.
-    shift = base[:3, :3] @ np.diag([1, 1, 0]) @ base[:3, :3].T @ (base[:3, 3] - centre[:3, 3])
+    shift = base[:3, :3] @ np.diag([1, 1, 0]) @ base[:3, :3].T @ (base[:3, 3] - center[:3, 3])
     goals[0, :3, 3] += shift
     now = np.full(arm.n, 0.3)
     sol = arms.solve_by_hand(arm, goals, now[None])

@@ -194,7 +194,7 @@ def test_margin_is_the_clearance_from_full_stretch_and_from_the_cylinder():
         np.testing.assert_allclose(arms.solve_by_hand(arm, moved).margin[0].max(), depth, atol=1e-15)
 
 
-def test_a_bad_goal_leaves_its_neighbours_as_they_are():
+def test_a_bad_goal_leaves_its_neighbors_as_they_are():
     arm, goals = made("vx300", random_joints(7))
     alone = arms.solve_by_hand(arm, goals)
     goals[3, 1, 2] = np.nan

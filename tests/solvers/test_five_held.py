@@ -67,7 +67,7 @@ def test_a_point_that_is_attained_within_limits_is_held_by_a_start():
     arm = ikjax.robots.vx300()
     low, high = np.array(arm.limits).T
     goals = np.array(ikjax.fk(arm, np.random.default_rng(0).uniform(low, high, (500, 5))))
-    goals[:, :3, :3] = ikjax.even_rotations(500)
+    goals[:, :3, :3] = ikjax.maps.even_rotations(500)
     starts = at_limits(arm, goals)
     held = ikjax.pose_error(ikjax.fk(arm, into_limits(arm, starts)), goals[:, None])[0].min(-1)
     branches = ikjax.project(arm, goals, steps=0).branches.position_error.min(-1)

@@ -62,14 +62,14 @@ def test_rows_that_are_no_poses_change_nothing_but_the_report(found):
 
 
 def test_a_search_at_the_end_comes_nearer_and_never_makes_worse(found):
-    again = study(objective=clearance_for_length, steps=400, finish=300)
+    again = study(objective=clearance_for_length, steps=400, local_search=300)
     assert again.score >= found.score and again.scores.max() == found.scores.max()
     assert np.abs(np.array(list(again.values.values())) - BEST).max() < 1e-5
 
 
 def test_a_search_alone_finds_an_optimum_on_a_bound():
     vary = {"a": (0.7, 2.0)}
-    alone = study(objective=clearance_for_length, vary=vary, steps=0, finish=600)
+    alone = study(objective=clearance_for_length, vary=vary, steps=0, local_search=600)
     np.testing.assert_allclose(list(alone.values.values()), 0.7, atol=1e-6)
     np.testing.assert_allclose(alone.score, INNER - 0.7, atol=1e-6)
 
@@ -78,7 +78,9 @@ def test_a_search_meets_a_constraint_before_it_looks_at_the_score():
     # The best of all arms 1.2 long may have 1.1 only: every step towards that makes the score worse.
     short, arm = (lambda arm: arm.a.sum() - 1.1,), ikjax.robots.planar_2r(0.6, 0.6)
     vary = {"a": (0.1, 2.0)}
-    alone = ikjax.design(arm, ring(), vary, "worst_margin", constraints=short, starts=1, steps=0, finish=101)
+    alone = ikjax.design(
+        arm, ring(), vary, "worst_margin", constraints=short, starts=1, steps=0, local_search=101
+    )
     assert alone.violation < 1e-4
     np.testing.assert_allclose([alone.start_score, alone.score], [0.2, 0.1], atol=1e-3)
 
@@ -119,7 +121,7 @@ def test_a_constraint_that_is_no_number_is_not_met():
 @pytest.mark.slow
 def test_ties_hold_on_the_way_to_the_best_manipulability():
     # Of all triangles of one girth and one base, the one with equal sides is the largest.
-    tied = study(objective="mean_manipulability", ties=["a1 + a2 = 1.3"], optimiser=optax.sgd(3.0))
+    tied = study(objective="mean_manipulability", ties=["a1 + a2 = 1.3"], optimizer=optax.sgd(3.0))
     np.testing.assert_allclose(tied.numbers, BEST, atol=2e-3)
     np.testing.assert_allclose(tied.numbers.sum(-1), 1.3, atol=1e-12)
     assert (np.diff(tied.history, axis=0) > -1e-12).all()
@@ -218,7 +220,7 @@ def test_numbers_that_stand_still_count_in_a_tie():
 @pytest.mark.parametrize(
     "change, message",
     [
-        ({"objective": "beauty"}, "objective must be a function or one of coverage, dexterity"),
+        ({"objective": "beauty"}, "objective must be a function or one of coverage, dexterous_share"),
         ({"goals": np.full((3, 4, 4), np.nan)}, "none of them is one"),
         ({"starts": 0}, "starts must be at least 1"),
         ({"batch": 0}, "batch must be at least 1"),
@@ -233,7 +235,7 @@ def test_numbers_that_stand_still_count_in_a_tie():
         ({"constraints": ["d1 <= 1"]}, "the constraint 'd1 <= 1' speaks of nothing that varies"),
         ({"constraints": ["a1 + b <= 1"]}, "cannot read 'b' in the constraint"),
         ({"objective": never, "steps": 0}, "objective must give a number for some arm"),
-        ({"objective": "dexterity"}, r"dexterity wants goals \(positions, orientations"),
+        ({"objective": "dexterous_share"}, r"dexterous_share wants goals \(positions, orientations"),
     ],
 )
 def test_other_mistakes_are_named(change, message):

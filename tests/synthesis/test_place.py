@@ -22,9 +22,9 @@ def points(xy, dtype=np.float64):
     return np.asarray(ikjax.position(xy[..., 0], xy[..., 1], 0 * xy[..., 0])).astype(dtype)
 
 
-def ring(centre=(0, 0), count=24):
+def ring(center=(0, 0), count=24):
     angle = np.linspace(0, 2 * np.pi, count, endpoint=False)
-    return points(np.stack([np.cos(angle), np.sin(angle)], -1) * (UPPER + FORE) / 1.5 + centre)
+    return points(np.stack([np.cos(angle), np.sin(angle)], -1) * (UPPER + FORE) / 1.5 + center)
 
 
 def scattered(seed=0, count=24):
@@ -139,7 +139,7 @@ def scara():
     arm = ikjax.robots.gx4_351s()
     arm = dataclasses.replace(arm, limits=np.array([*arm.limits[:3], (-1.2, 1.5)]))
     turned = np.stack([about_z(k * np.pi / 2)[:3, :3] for k in range(4)])
-    grid = ikjax.grid((-0.4, -0.4, -0.1), (0.4, 0.4, 0.0), 0.1)
+    grid = ikjax.maps.grid((-0.4, -0.4, -0.1), (0.4, 0.4, 0.0), 0.1)
     return arm, ikjax.sweep(arm, grid, turned, statistics=("reachable_within", "mask_within", "mask"))
 
 
@@ -152,7 +152,7 @@ def test_a_map_agrees_with_solving_where_the_goals_lie_on_it(scara, limits):
     goals[:, :3, 3] = rng.integers((-3, -3, -1), (4, 4, 1), (24, 3)) * 0.1
     options = {"bounds": {"x": (-0.5, 0.5), "y": (-0.5, 0.5)}, "turns": 4, "limits": limits}
     options |= BASIC | {"steps": 0}
-    solved, looked = ikjax.place(arm, goals, **options), ikjax.place(arm, goals, reach=reach, **options)
+    solved, looked = ikjax.place(arm, goals, **options), ikjax.place(arm, goals, reach_map=reach, **options)
     assert solved.tried.shape == (11, 11, 1, 4 if limits else 1)
     # Positions on the very fold may fall either way.
     assert np.abs(solved.tried - looked.tried).max() <= 1 / 24
@@ -160,7 +160,7 @@ def test_a_map_agrees_with_solving_where_the_goals_lie_on_it(scara, limits):
     assert looked.share[0] >= looked.tried.max() - 1 / 24
     if limits:
         counted = dataclasses.replace(reach, arrays={"reachable_within": reach.arrays["reachable_within"]})
-        rough = ikjax.place(arm, goals, reach=counted, **options)
+        rough = ikjax.place(arm, goals, reach_map=counted, **options)
         assert np.corrcoef(rough.tried.ravel(), solved.tried.ravel())[0, 1] > 0.9
 
 
@@ -170,13 +170,13 @@ def test_a_map_that_does_not_serve_is_refused_by_name(scara):
     longer = dataclasses.replace(arm, a=arm.a + 0.01)
     for wrong, given, message in [
         (reach, longer, "a map of gx4_351s, got one of another arm"),
-        (dataclasses.replace(reach, rolls=2), arm, "a map of 1 roll"),
+        (dataclasses.replace(reach, free_rolls=2), arm, "a map of 1 roll"),
         (dataclasses.replace(reach, arrays={}), arm, "must have reachable_within or its mask"),
-        (dataclasses.replace(reach, grid=ikjax.shell((0, 0, 0), 1, 9)), arm, "over a grid"),
+        (dataclasses.replace(reach, positions=ikjax.maps.shell((0, 0, 0), 1, 9)), arm, "over a grid"),
         ("map.zarr", arm, "must be a ReachMap"),
     ]:
         with pytest.raises(ValueError, match=message):
-            ikjax.place(given, goal, reach=wrong)
+            ikjax.place(given, goal, reach_map=wrong)
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,7 @@ NONE = Verdict(None, (), (), "pose", {})
 """No family was looked for."""
 
 
-def recognise(
+def recognize(
     kinds: str,
     numbers: dict,
     family: str | None = None,
@@ -80,12 +80,12 @@ def recognise(
 
 
 def evidence(kinds: str, numbers: dict, family: str, tolerance: float) -> tuple[Check, ...]:
-    """What was checked for one family, whether it holds or not; arguments as in `recognise`."""
+    """What was checked for one family, whether it holds or not; arguments as in `recognize`."""
     return tuple(judged(kinds, numbers, family, tolerance)[0])
 
 
 def judged(kinds: str, numbers: dict, family: str, tolerance: float) -> Judgement:
-    """What a family's rule says of a table, whether its facts hold or not; arguments as in `recognise`."""
+    """What a family's rule says of a table, whether its facts hold or not; arguments as in `recognize`."""
     return RULES[family].judge(_table(kinds, numbers, 1, tolerance))
 
 
@@ -149,7 +149,7 @@ def describe(checks: tuple[Check, ...]) -> str:
 
 
 def found(kinds: str, numbers: dict, tolerance: float = FACT) -> str:
-    """Which neighbouring axes are parallel, perpendicular and meeting, in words."""
+    """Which neighboring axes are parallel, perpendicular and meeting, in words."""
     alpha, a = np.asarray(numbers["alpha"], float), np.asarray(numbers["a"], float)
     size = max(float(np.abs(a).sum() + np.abs(np.asarray(numbers["d"], float)).sum()), 1e-300)
     words = []

@@ -15,7 +15,7 @@ Joint = tuple[np.ndarray, np.ndarray]
 
 
 def one_joint_a_motor(given: Axes, rows: np.ndarray) -> tuple[Axes, np.ndarray]:
-    """The same motion with parallel neighbours combined.
+    """The same motion with parallel neighbors combined.
 
     Args:
         given: The joints' axes.

@@ -131,7 +131,7 @@ def axes_of(chain: UrdfChain) -> tuple[Axes, np.ndarray | None, list[tuple[float
         first = next(joint for joint in chain.joints if joint.leader != joint.name)
         raise ArmFileError(
             f"{show(chain.name)}: joint {quote(first.name)} mimics {quote(first.leader)}: among parallel "
-            f"neighbours such joints become one a motor, here {len(rows)} are left for {len(motors)} motors. "
+            f"neighbors such joints become one a motor, here {len(rows)} are left for {len(motors)} motors. "
             "Choose base= and tip= on one side of it, or make it fixed"
         )
     return given, rows, limits
@@ -341,7 +341,7 @@ def _axis(joint: _Joint) -> np.ndarray:
     unit = axis / largest
     length = float(np.linalg.norm(unit))
     if abs(largest * length - 1) > 1e-6:
-        warn(str(element.error(f"axis has length {largest * length:g}, normalised")))
+        warn(str(element.error(f"axis has length {largest * length:g}, normalized")))
     return unit / length
 
 

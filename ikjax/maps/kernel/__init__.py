@@ -1,0 +1,1 @@
+"""The compiled loop of a sweep: goals made, solved and reduced without leaving the processor's caches."""

@@ -224,7 +224,7 @@ def _of_slots(goal: Goal, what: str) -> list[jax.Array]:
     return goal.kept[what]
 
 
-def best_limit_distance(goal: Goal) -> jax.Array:
+def best_limit_share(goal: Goal) -> jax.Array:
     """The greatest of a goal's solutions; -inf without one."""
     found = jnp.full(goal.shape, -jnp.inf, goal.slots[0].margin.dtype)
     for slot in goal.slots:

@@ -1,0 +1,1 @@
+"""Sets of positions and of orientations, each member a function of whole numbers."""

@@ -15,14 +15,15 @@ import numpy as np
 from ikjax.core import vector
 from ikjax.core.vector import Matrix
 from ikjax.maps.sets.integer_angles import about_z, tilt
+from ikjax.maps.sets.protocol import ByNumber
 
 DEEPEST = 8
 """Levels, whose rotations 32-bit integers count."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Hopf:
-    """72 * 8^level rotations; neighbours are about 60 degrees / 2^level apart."""
+class Hopf(ByNumber):
+    """72 * 8^level rotations; neighbors are about 60 degrees / 2^level apart."""
 
     level: int
 

@@ -7,7 +7,6 @@ exact for any index, in float32 as in float64.
 
 import dataclasses
 import math
-from typing import Any
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from ikjax.core import vector
 from ikjax.core.vector import Matrix
 from ikjax.maps.sets.hopf import Hopf
 from ikjax.maps.sets.integer_angles import about_z, angle, tilt
-from ikjax.maps.sets.protocol import frozen
+from ikjax.maps.sets.protocol import ByNumber, Tables, frozen
 
 MOST = 2**31 - 2**16
 """Orientations, each with its rolls, that 32-bit integers can count over."""
@@ -23,12 +22,9 @@ MOST = 2**31 - 2**16
 PSI = 1.533751168755204288118041
 """The real root of psi^4 = psi + 4."""
 
-Tables = tuple[Any, ...]
-"""Arrays that a set is looked up in, of the kernel's type."""
-
 
 @dataclasses.dataclass(frozen=True)
-class Even:
+class Even(ByNumber):
     """`count` rotations spread evenly over all rotations.
 
     Source: Alexa, Super-Fibonacci spirals: fast, low-discrepancy sampling of SO(3), CVPR 2022,
@@ -55,10 +51,10 @@ class Even:
 
 
 @dataclasses.dataclass(frozen=True)
-class Cone:
-    """Tool axes spread evenly over a cap of the sphere, each with `rolls` turns about itself.
+class Cone(ByNumber):
+    """Tool axes spread evenly over a cap of the sphere, each with `turns` turns about itself.
 
-    Index i stands for direction i // rolls at roll i % rolls. Without a roll a tool is turned from the
+    Index i stands for direction i // turns at turn i % turns. Without a roll a tool is turned from the
     middle of the cone by the shortest way.
     """
 
@@ -67,21 +63,21 @@ class Cone:
     half_angle: float
     """[rad]; pi is all directions."""
     directions: int
-    rolls: int = 1
+    turns: int = 1
 
     @property
     def count(self) -> int:
         """Number of rotations."""
-        return self.directions * self.rolls
+        return self.directions * self.turns
 
     def tables(self, dtype) -> Tables:
         return ()
 
     def at(self, tables: Tables, index, xp, dtype) -> Matrix:
         """The rotations of whole numbers."""
-        place, roll = index // self.rolls, index % self.rolls
+        place, roll = index // self.turns, index % self.turns
         tilted = spiral(place, self.directions, math.sin(self.half_angle / 2) ** 2, xp, dtype)
-        turned = vector.matmul(tilted, about_z(roll.astype(dtype) * dtype.type(math.tau / self.rolls), xp))
+        turned = vector.matmul(tilted, about_z(roll.astype(dtype) * dtype.type(math.tau / self.turns), xp))
         return vector.matmul(_middle(self.direction), turned)
 
 
@@ -132,7 +128,7 @@ class Listed:
 Orientations = Even | Cone | Hopf | Listed
 
 
-def cone(direction, half_angle: float, directions: int, rolls: int = 1) -> Cone:
+def cone(direction, half_angle: float, directions: int, turns: int = 1) -> Cone:
     """Tool axes within an angle of a direction, spread evenly, each at some rolls about itself.
 
     Args:
@@ -140,7 +136,7 @@ def cone(direction, half_angle: float, directions: int, rolls: int = 1) -> Cone:
             normals it is seen from the surface, whose z axis points into it.
         half_angle: [rad], at most pi; 0 is the direction alone, pi is all directions.
         directions: Number of tool axes.
-        rolls: Turns about each, a whole turn divided by so many.
+        turns: Turns about each, a whole turn divided by so many.
 
     Raises:
         ValueError: No direction, an angle or a number out of range.
@@ -152,9 +148,9 @@ def cone(direction, half_angle: float, directions: int, rolls: int = 1) -> Cone:
     if not 0 <= half_angle <= math.pi:
         raise ValueError(f"half_angle must be from 0 to pi, got {half_angle}")
     _check_count("directions", directions)
-    _check_count("rolls", rolls)
+    _check_count("turns", turns)
     x, y, z = (float(c) for c in vectors / size)
-    return Cone((x, y, z), float(half_angle), int(directions), int(rolls))
+    return Cone((x, y, z), float(half_angle), int(directions), int(turns))
 
 
 def _check_count(name: str, number) -> None:
@@ -162,22 +158,18 @@ def _check_count(name: str, number) -> None:
         raise ValueError(f"{name} must be at least 1, got {number}")
 
 
-def even_rotations(n: int) -> np.ndarray:
-    """n rotations spread evenly over all rotations, the same ones every time: (n, 3, 3).
+def even_rotations(n: int) -> Even:
+    """n rotations spread evenly over all rotations, the same ones every time.
+
+    Returns:
+        The set that `sweep(arm, positions, n)` sweeps; `.rotations`, or numpy's `asarray`, makes (n, 3, 3)
+        of it.
 
     Raises:
         ValueError: n below 1.
     """
     _check_count("n", n)
-    return rotations_of(Even(int(n)))
-
-
-def rotations_of(orientations: Orientations) -> np.ndarray:
-    """All rotations of a set, (m, 3, 3)."""
-    if isinstance(orientations, Listed):
-        return orientations.rotations
-    rows = orientations.at((), np.arange(orientations.count, dtype=np.int32), np, np.dtype(float))
-    return np.stack([np.stack(np.broadcast_arrays(*row), axis=-1) for row in rows], axis=-2)
+    return Even(int(n))
 
 
 def as_orientations(given) -> Orientations:
@@ -218,6 +210,6 @@ def from_spec(said: dict, rotations: np.ndarray | None) -> Orientations:
         return Hopf(said["level"])
     if said["kind"] == "Cone":
         x, y, z = said["direction"]
-        return Cone((x, y, z), said["half_angle"], said["directions"], said["rolls"])
+        return Cone((x, y, z), said["half_angle"], said["directions"], said["turns"])
     assert rotations is not None
     return Listed(rotations)

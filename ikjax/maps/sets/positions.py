@@ -66,11 +66,11 @@ class Grid:
 
 
 def grid(lower, upper, spacing: float) -> Grid:
-    """A grid that fills the box from `lower` to `upper` and is centred in it.
+    """A grid that fills the box from `lower` to `upper` and is centerd in it.
 
     Args:
         lower, upper: Corners (3,) [m].
-        spacing: Between neighbours [m].
+        spacing: Between neighbors [m].
 
     Raises:
         ValueError: A wrong shape, corners out of order, a spacing that is not positive.
@@ -96,21 +96,21 @@ def around(arm: Arm, spacing: float) -> Grid:
 
     Args:
         arm: The arm.
-        spacing: Between neighbours [m].
+        spacing: Between neighbors [m].
     """
     _check_spacing(spacing)
     baked = arm.baked()
-    centre = np.asarray(baked.base, float)[:3, 3] + float(baked.d[0]) * np.asarray(baked.base, float)[:3, 2]
+    center = np.asarray(baked.base, float)[:3, 3] + float(baked.d[0]) * np.asarray(baked.base, float)[:3, 2]
     radius = float(reach(baked)) - abs(float(baked.d[0]))
     radius = spacing * np.ceil(radius / spacing)
-    return grid(centre - radius, centre + radius, spacing)
+    return grid(center - radius, center + radius, spacing)
 
 
 @dataclasses.dataclass(frozen=True)
 class Shell:
     """Positions on concentric spheres, the same directions on each: radius slow, direction fast."""
 
-    centre: tuple[float, float, float]
+    center: tuple[float, float, float]
     """[m]"""
     radii: tuple[float, ...]
     """[m], ascending."""
@@ -137,7 +137,7 @@ class Shell:
 
     def named(self) -> dict[str, tuple[np.ndarray, tuple[str, ...]]]:
         """What a map says of its axes: arrays and the names of their dimensions."""
-        unit = dataclasses.replace(self, centre=(0.0, 0.0, 0.0), radii=(1.0,)).points()[0]
+        unit = dataclasses.replace(self, center=(0.0, 0.0, 0.0), radii=(1.0,)).points()[0]
         return {"radius": (np.array(self.radii), ("radius",)), "direction": (unit, ("direction", "xyz"))}
 
     def tables(self, dtype) -> tuple[Any, ...]:
@@ -148,7 +148,7 @@ class Shell:
         """The positions of whole numbers along each axis."""
         layer, place = index
         unit = (row[2] for row in spiral(place, self.directions, 1, xp, dtype))
-        return tuple(dtype.type(c) + tables[0][layer] * u for c, u in zip(self.centre, unit, strict=True))
+        return tuple(dtype.type(c) + tables[0][layer] * u for c, u in zip(self.center, unit, strict=True))
 
     def volume(self, chosen: np.ndarray) -> float:
         """What positions stand for [m^3]: the layers meet half way, the outer ones end at their radius."""
@@ -162,20 +162,20 @@ class Shell:
         return f"{self.count:,} positions ({len(self.radii)} spheres of {self.directions:,})"
 
 
-def shell(centre, radii, directions: int) -> Shell:
-    """Positions on spheres about a centre.
+def shell(center, radii, directions: int) -> Shell:
+    """Positions on spheres about a center.
 
     Args:
-        centre: (3,) [m].
+        center: (3,) [m].
         radii: One radius or several [m], positive and ascending.
         directions: On each sphere.
 
     Raises:
         ValueError: A wrong shape, radii that do not ascend, no directions.
     """
-    middle, layers = np.asarray(centre, float), np.atleast_1d(np.asarray(radii, float))
+    middle, layers = np.asarray(center, float), np.atleast_1d(np.asarray(radii, float))
     if middle.shape != (3,) or not np.isfinite(middle).all():
-        raise ValueError(f"centre must be a point (3,), got {centre}")
+        raise ValueError(f"center must be a point (3,), got {center}")
     if layers.ndim != 1 or len(layers) == 0 or not (np.isfinite(layers).all() and layers[0] > 0):
         raise ValueError(f"radii must be positive numbers of metres, got {radii}")
     if (np.diff(layers) <= 0).any():

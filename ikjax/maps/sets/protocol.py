@@ -55,6 +55,25 @@ class OrientationSet(Protocol):
     def at(self, tables: Tables, index, xp, dtype) -> Matrix:
         """The rotation of each number, in scalars."""
 
+    @property
+    def rotations(self) -> np.ndarray:
+        """All of them, (m, 3, 3)."""
+
+
+class ByNumber:
+    """All rotations of a set whose members are made by a formula; numpy takes the set for that array."""
+
+    @property
+    def rotations(self) -> np.ndarray:
+        """All of them, (m, 3, 3)."""
+        given: Any = self
+        dtype = np.dtype(float)
+        rows = given.at(given.tables(dtype), np.arange(given.count, dtype=np.int32), np, dtype)
+        return np.stack([np.stack(np.broadcast_arrays(*row), axis=-1) for row in rows], axis=-2)
+
+    def __array__(self, dtype=None, copy=None) -> np.ndarray:
+        return np.array(self.rotations, dtype)
+
 
 def frozen(array) -> np.ndarray:
     """A copy that nobody can write to, so that a map keeps the numbers that its spec has the hash of."""

@@ -27,9 +27,9 @@ import numpy as np
 from ikjax.arm.arm import Arm
 from ikjax.arm.recognition import recognize
 from ikjax.core.text import line
-from ikjax.maps.sets.orientations import Listed, Orientations, rotations_of
+from ikjax.maps.sets.orientations import Listed, Orientations
 
-SCHEMA = 3
+SCHEMA = 4
 """Version of a map's layout; a reader refuses any other."""
 
 
@@ -41,7 +41,7 @@ def of_study(
     arm: Arm,
     positions,
     orientations,
-    rolls: int,
+    free_rolls: int,
     dtype: str,
     statistics: Mapping[str, dict[str, Any]],
     fixed: Fixed,
@@ -59,9 +59,9 @@ def of_study(
         "ikjax": sys.modules["ikjax"].__version__,
         # As the kernel sees it, whatever type its leaves have where it is swept.
         "arm": of_arm(arm.astype("float64" if is_certified(statistics) else dtype)),
-        "grid": {**of_set(positions), "shape": positions.shape, "axes": positions.axes},
+        "positions": {**of_set(positions), "shape": positions.shape, "axes": positions.axes},
         "orientations": {**of_set(orientations), "count": orientations.count},
-        "rolls": rolls,
+        "free_rolls": free_rolls,
         "dtype": dtype,
         "statistics": statistics,
         "fixed": {
@@ -87,9 +87,11 @@ def check_stored(spec: dict) -> None:
     """
     for name in (*spec["statistics"], *spec["fixed"]):
         check_name(name)
-    rolls, dtype = spec["rolls"], spec["dtype"]
+    rolls, dtype = spec["free_rolls"], spec["dtype"]
     if type(rolls) is not int or rolls < 1 or dtype not in ("float32", "float64"):
-        raise ValueError(f"rolls and dtype must be a whole number and a type, got {rolls!r} and {dtype!r}")
+        raise ValueError(
+            f"free_rolls and dtype must be a whole number and a type, got {rolls!r} and {dtype!r}"
+        )
 
 
 def is_certified(statistics: Mapping[str, dict[str, Any]]) -> bool:
@@ -120,7 +122,7 @@ def fingerprint(spec: dict) -> str:
 
 
 def differences(there: dict, here: dict) -> list[str]:
-    """Where two specs differ, as "grid.spacing: 0.1 there, 0.2 here"."""
+    """Where two specs differ, as "positions.spacing: 0.1 there, 0.2 here"."""
     rows = []
     for key in sorted(there.keys() | here.keys()):
         a, b = there.get(key), here.get(key)
@@ -174,7 +176,7 @@ def to_arm(spec: dict) -> Arm:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of twists that were rounded to a type
         arm = Arm.from_dh(**table, kinds=spec["kinds"], name=spec["name"], convention="standard", dtype=dtype)
-    # The numbers as they were stored, whatever a table of such numbers would be recognised as.
+    # The numbers as they were stored, whatever a table of such numbers would be recognized as.
     stored: dict[str, Any] = {key: spec[key] for key in ("a", "alpha", "d", "theta", "correction")}
     stored = {key: None if value is None else jnp.asarray(value, arm.dtype) for key, value in stored.items()}
     return dataclasses.replace(
@@ -211,12 +213,12 @@ class Head(NamedTuple):
     @property
     def shape(self) -> tuple[int, ...]:
         """Of the positions."""
-        return tuple(self.spec["grid"]["shape"])
+        return tuple(self.spec["positions"]["shape"])
 
     @property
     def axes(self) -> list[str]:
         """Names of the positions' axes."""
-        return list(self.spec["grid"]["axes"])
+        return list(self.spec["positions"]["axes"])
 
     @property
     def names(self) -> list[str]:
@@ -263,7 +265,7 @@ def fixed(positions, orientations: Orientations) -> dict[str, tuple[np.ndarray, 
     """The arrays that the spec determines, with the names of their dimensions."""
     arrays = dict(positions.named())
     if isinstance(orientations, Listed) or orientations.count <= MOST_ROTATIONS:
-        arrays["rotations"] = (rotations_of(orientations), ("orientation", "row", "column"))
+        arrays["rotations"] = (orientations.rotations, ("orientation", "row", "column"))
     return arrays
 
 

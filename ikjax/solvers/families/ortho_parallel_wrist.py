@@ -6,7 +6,7 @@ Frames: standard DH. s1 = sin(alpha1) and c2 = cos(alpha2) are signs. Frame 1 st
 with z along it; the arm's plane is its x, y plane. `up` is +1 where axis 1 points up.
 
 Steps:
-1. shoulder: the wrist centre lies `lateral` beside axis 1's plane, which gives joint 1.
+1. shoulder: the wrist center lies `lateral` beside axis 1's plane, which gives joint 1.
 2. triangle: upper arm a2 and forearm (a3, -c2 d4 sin(alpha3)) reach it in the plane: joints 2, 3.
 3. wrist: the rotation that is left gives joints 4, 5, 6.
 

@@ -2,10 +2,10 @@
 
 Branches: twice those of `regional`, 8 for six turning joints.
 
-Frames: standard DH, a4 = a5 = d5 = 0. The wrist centre is d4 along z of frame 3.
+Frames: standard DH, a4 = a5 = d5 = 0. The wrist center is d4 along z of frame 3.
 
 Steps:
-1. regional: joints 1, 2, 3 bring the wrist centre where the goal has it.
+1. regional: joints 1, 2, 3 bring the wrist center where the goal has it.
 2. wrist: the rotation that is left gives joints 4, 5, 6.
 
 Bits: those of `regional`, then noflip as in `ortho_parallel_wrist`.

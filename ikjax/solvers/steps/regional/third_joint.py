@@ -158,14 +158,14 @@ Length = Callable[[Scalar, Scalar, Scalar], Scalar]
 
 
 def clearance(harmonics, found, root: CircleRoot, length: Length) -> Scalar:
-    """How far the polynomial is from having a double root here: its size between two neighbours."""
+    """How far the polynomial is from having a double root here: its size between two neighbors."""
     value, _ = harmonics_at(harmonics, root.sin, root.cos)
     outside = -length(abs(value), root.sin, root.cos)
     return jnp.where(root.real, _between(harmonics, found, root, length), outside)
 
 
 def _between(harmonics, found, root: CircleRoot, length: Length) -> Scalar:
-    """The lesser size of the polynomial midway to the real neighbours, which are of the other kind."""
+    """The lesser size of the polynomial midway to the real neighbors, which are of the other kind."""
     rises = any(root is r for r in found.rising)
     others, rise = (found.falling, 1) if rises else (found.rising, -1)
     least: Scalar = jnp.inf
