@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: sweep test suite slow long verify guard bench maps notebooks lint clean
+.PHONY: sweep test suite slow long verify guard bench maps notebooks docs pictures lint clean
 
 sweep: $(VENV)/run.stamp            ## sweep a PUMA 560's workspace, or go on with it: a map, a picture, a summary
 	$(BIN)/ikjax sweep puma560 --spacing 0.03 --orientations 512 \
@@ -41,6 +41,12 @@ maps: $(VENV)/rivals.stamp          ## what maps cost, and against sampled ones:
 notebooks: $(VENV)/dev.stamp        ## run the notebooks again and keep their pictures
 	$(BIN)/python notebooks/build.py
 
+docs: $(VENV)/docs.stamp            ## the documentation, as pages in site/
+	$(BIN)/mkdocs build --strict --quiet
+
+pictures: $(VENV)/docs.stamp        ## draw the pictures of the documentation again
+	$(BIN)/python docs/draw.py
+
 $(BIN)/python:
 	$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), "ikjax needs Python 3.11 or newer"'
 	$(PYTHON) -m venv $(VENV)
@@ -53,9 +59,13 @@ $(VENV)/dev.stamp: $(BIN)/python pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[all,dev,notebook]'
 	touch $@ $(VENV)/run.stamp
 
+$(VENV)/docs.stamp: $(VENV)/run.stamp
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
+	touch $@
+
 $(VENV)/rivals.stamp: $(VENV)/dev.stamp
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[rivals]'
 	touch $@
 
 clean:
-	rm -rf $(VENV) out
+	rm -rf $(VENV) out site
