@@ -42,7 +42,7 @@ notebooks: $(VENV)/dev.stamp        ## run the notebooks again and keep their pi
 	$(BIN)/python notebooks/build.py
 
 docs: $(VENV)/docs.stamp            ## the documentation, as pages in site/
-	$(BIN)/mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 pictures: $(VENV)/docs.stamp        ## draw the pictures of the documentation again
 	$(BIN)/python docs/draw.py

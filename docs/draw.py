@@ -52,7 +52,7 @@ ARMS: dict[str, Callable[[], ikjax.Arm]] = {
     "scara": ikjax.robots.gx4_351s,
     "five_axis": ikjax.robots.motoman_l3,
     "turret": lambda: table(
-        "a turning base, then three parallel axes", [90, 0, 0, 0], a=[0.05, 0.25, 0.2, 0.1], d=[0.3, 0, 0, 0]
+        "a turret", [90, 0, 0, 0], a=[0.05, 0.25, 0.2, 0.1], d=[0.3, 0, 0, 0]
     ),
     "planar_pose": ikjax.robots.planar_3r,
     "planar_position": ikjax.robots.planar_2r,

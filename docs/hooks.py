@@ -4,8 +4,10 @@ A page says `<!-- family: NAME -->` where the facts of a family belong. They are
 they cannot differ from it.
 """
 
+import ast
 import pathlib
 import re
+import textwrap
 
 from mkdocs.structure.files import File
 
@@ -26,16 +28,22 @@ def on_page_markdown(markdown, page, config, files):
     markdown = markdown.replace("](../docs/", "](../") if inside else markdown.replace("](../benchmarks/", "](benchmarks/")
     # Notebooks are no pages of the site.
     markdown = re.sub(r"\[([^\]]+)\]\(((?:\.\./)*notebooks/[^)]+)\)", r"\1 (`\2`)", markdown)
+    markdown = re.sub(r"<!-- header: ([\w.]+) -->", lambda found: as_markdown(docstring(found[1])), markdown)
+    markdown = re.sub(r"<!-- source: (\S+) (\w+)(?: (\w+))? -->", lambda found: source(*found.groups()), markdown)
+    markdown = markdown.replace("<!-- families -->", overview() if "<!-- families -->" in markdown else "")
     return re.sub(r"<!-- family: (\w+) -->", lambda found: facts(found[1]), markdown)
 
 
 def facts(family: str) -> str:
     """A family's page below its title: its rule, its arms, its slots, its picture, its header."""
-    import draw
+    import sys
 
     import ikjax
     from ikjax.arm.recognition.rules import RULES
     from ikjax.solvers.families import FAMILIES
+
+    sys.path.insert(0, str(pathlib.Path(__file__).parent))
+    import draw
 
     rule, arm = RULES[family], draw.ARMS[family]()
     catalogue = {name: ikjax.robots.get(name) for name in ikjax.robots.names()}
@@ -51,16 +59,44 @@ def facts(family: str) -> str:
     width = max(len(arm.branches) - 1, 1).bit_length()
     lines += [f"| {k} | `{k:0{width}b}` | `{name}` |" for k, name in enumerate(arm.branches)]
     lines += ["", f"![Every branch of one goal of {said(arm)}](../pictures/{family}.png)", ""]
-    lines += [f"*Every branch of one goal of {said(arm)}, by `ikjax.plot.branches`.*", ""]
-    lines += ["## From the file", "", as_markdown(docstring(module))]
+    caption = f"Every branch of one goal of {said(arm)}, by `ikjax.plot.branches`."
+    lines += [f"*{caption} Figures that look alike differ in how links are turned about themselves.*", ""]
+    lines += ["## Frames, steps, bits and source", "", as_markdown(docstring(module))]
     return "\n".join(lines)
+
+
+def overview() -> str:
+    """Every family in a line."""
+    from ikjax.arm.recognition.rules import RULES
+
+    lines = ["| family | joints | arms | task |", "|---|---|---|---|"]
+    lines += [f"| [{name}]({name}.md) | {r.joints} | {r.summary} | `{r.task}` |" for name, r in RULES.items()]
+    return "\n".join(lines)
+
+
+def source(path: str, name: str, key: str | None = None) -> str:
+    """A function, class or constant of a file as a block of code; of a dictionary the entry of one key."""
+    text = (ROOT / path).read_text()
+    for node in ast.parse(text).body:
+        target = getattr(node, "targets", [getattr(node, "target", node)])[0]
+        if name not in (getattr(target, "id", None), getattr(node, "name", None)):
+            continue
+        lines = text.splitlines()
+        first = min([node.lineno, *(each.lineno for each in getattr(node, "decorator_list", []))])
+        last = node.end_lineno
+        if key is not None:
+            entries = zip(node.value.keys, node.value.values, strict=True)
+            first, last = next((k.lineno, v.end_lineno) for k, v in entries if k.value == key)
+        code = textwrap.dedent("\n".join(lines[first - 1 : last]))
+        return f"```{{.python .norun title='{path}'}}\n{code}\n```"
+    raise ValueError(f"{path} has no {name}: a page of the documentation shows it")
 
 
 def said(arm) -> str:
     """How a sentence names an arm."""
     import ikjax
 
-    return f"`{arm.name}`" if arm.name in ikjax.robots.names() else f"an arm of {arm.name}"
+    return f"`{arm.name}`" if arm.name in ikjax.robots.names() else "an arm made for this page"
 
 
 def docstring(module: str) -> str:
