@@ -1,4 +1,4 @@
-"""Draw the pictures of the documentation again: `python docs/draw.py [NAME ...]`, some minutes, same pictures.
+"""Draw the pictures of the documentation again: `python docs/draw.py [NAME ...]`, some minutes.
 
 The library draws them: `ikjax.plot.branches` for every family, `ikjax.plot.sticks` for the concepts.
 """
@@ -51,12 +51,12 @@ ARMS: dict[str, Callable[[], ikjax.Arm]] = {
     ),
     "scara": ikjax.robots.gx4_351s,
     "five_axis": ikjax.robots.motoman_l3,
-    "turret": lambda: table(
-        "a turret", [90, 0, 0, 0], a=[0.05, 0.25, 0.2, 0.1], d=[0.3, 0, 0, 0]
-    ),
+    "turret": lambda: table("a turret", [90, 0, 0, 0], a=[0.05, 0.25, 0.2, 0.1], d=[0.3, 0, 0, 0]),
     "planar_pose": ikjax.robots.planar_3r,
     "planar_position": ikjax.robots.planar_2r,
-    "position": lambda: table("three joints to a point", [70, 25, 0], a=[0.12, 0.4, 0.4], d=[0.3, 0.11, 0.06]),
+    "position": lambda: table(
+        "three joints to a point", [70, 25, 0], a=[0.12, 0.4, 0.4], d=[0.3, 0.11, 0.06]
+    ),
 }
 
 
@@ -161,18 +161,20 @@ def given():
     off = np.zeros((arm.n + 1, 6))
     off[1, 3:], off[2, 3:], off[3, 3:] = (0.03, 0, 0), (-0.06, 0.02, 0), (0.05, 0, 0)
     lean = dataclasses.replace(arm, correction=off)
-    figure = pyplot().figure(figsize=(9.5, 4.2), layout="constrained")
+    figure = pyplot().figure(figsize=(9.5, 4.5), layout="constrained")
     q = np.array([0.3, -1.1, 1.3, -0.9, -1.2, 0.0])
     whole = ikjax.plot.sticks(arm, q).line
     center, half = (whole.max(0) + whole.min(0)) / 2, 0.6 * np.ptp(whole, axis=0).max()
-    for k, (title, one) in enumerate((("as recognized: the table", arm), ("as given: the table and `correction`", lean))):
+    for k, (title, one) in enumerate(
+        (("as recognized: the table", arm), ("as given: the table and `correction`", lean))
+    ):
         ax = figure.add_subplot(1, 2, k + 1, projection="3d")
         for i, letter in enumerate("xyz"):
             getattr(ax, f"set_{letter}lim")(center[i] - half, center[i] + half)
             getattr(ax, f"set_{letter}label")(f"{letter} [m]", fontsize=7)
         ax.tick_params(labelsize=6)
         ax.view_init(elev=20, azim=-125)
-        ax.set_box_aspect((1, 1, 1), zoom=1.15)
+        ax.set_box_aspect((1, 1, 1), zoom=1.0)
         ikjax.plot.arm(arm, q, ax, color=COLORS[0] if one is arm else "#c8c8c8", width=2.5)
         if one is lean:
             ikjax.plot.arm(one, q, ax, color=COLORS[1], width=2.5)
@@ -181,7 +183,9 @@ def given():
             point, along = frames[i, :3, 3], frames[i, :3, 2]
             ax.plot(*np.stack([point - 0.45 * along, point + 0.45 * along]).T, color=ACCENT, lw=1, ls="--")
         ax.set_title(title.replace("`", ""))
-    figure.suptitle("Axes 2, 3 and 4 of a UR10e, dashed; on the right they lean by up to 0.06 rad, so that it can be seen")
+    figure.suptitle(
+        "Axes 2, 3 and 4 of a UR10e, dashed; on the right they lean by up to 0.06 rad, so that it can be seen"
+    )
     return figure
 
 
@@ -201,7 +205,14 @@ def precision():
         reach = float(np.abs(arm.a).sum() + np.abs(arm.d).sum())
         allowed = tolerance * (reach + np.linalg.norm(far, axis=-1).mean())
         ax.axvline(allowed, color=color, lw=1.5, ls="--")
-        ax.annotate(f"allowed\nin {name}", (allowed, 0.8), (4, 0), xycoords=("data", "axes fraction"), fontsize=8, textcoords="offset points")
+        ax.annotate(
+            f"allowed\nin {name}",
+            (allowed, 0.8),
+            (4, 0),
+            xycoords=("data", "axes fraction"),
+            fontsize=8,
+            textcoords="offset points",
+        )
     ax.set(xscale="log", xlabel="position_error of valid slots [m]", ylabel="slots")
     ax.legend(loc="upper left")
     return figure

@@ -10,4 +10,6 @@ class Warns(griffe.Extension):
 
     def on_instance(self, *, obj, **kwargs):
         if obj.docstring:
-            obj.docstring.value = re.sub(r"(?m)^(Warns:\n\s+)(?=\w+ )", r"\1UserWarning: ", obj.docstring.value)
+            obj.docstring.value = re.sub(
+                r"(?m)^(Warns:\n\s+)(?=\w+ )", r"\1UserWarning: ", obj.docstring.value
+            )

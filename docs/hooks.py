@@ -1,7 +1,11 @@
 """What mkdocs does beside reading pages: pages that live elsewhere in the project, facts of the families.
 
-A page says `<!-- family: NAME -->` where the facts of a family belong. They are read from the library, so that
-they cannot differ from it.
+A page has marks where something of the project belongs, so that it cannot differ from it:
+
+    <!-- families -->                  the table of all families
+    <!-- family: NAME -->              the facts of one
+    <!-- header: MODULE -->            the docstring of a module
+    <!-- source: PATH NAME [KEY] -->   a function, class or constant, or one entry of a dictionary
 """
 
 import ast
@@ -12,7 +16,10 @@ import textwrap
 from mkdocs.structure.files import File
 
 ROOT = pathlib.Path(__file__).parent.parent
-ELSEWHERE = ("CHANGELOG.md", *(f"benchmarks/{name}.md" for name in ("README", "RESULTS", "MAPS", "PROJECTION", "DESIGN", "VERIFY")))
+ELSEWHERE = (
+    "CHANGELOG.md",
+    *(f"benchmarks/{name}.md" for name in ("README", "RESULTS", "MAPS", "PROJECTION", "DESIGN", "VERIFY")),
+)
 
 
 def on_files(files, config):
@@ -25,11 +32,17 @@ def on_files(files, config):
 def on_page_markdown(markdown, page, config, files):
     """Point links at the site instead of the project's folders, and put the facts of families in."""
     inside = page.file.src_uri.startswith("benchmarks/")
-    markdown = markdown.replace("](../docs/", "](../") if inside else markdown.replace("](../benchmarks/", "](benchmarks/")
+    markdown = (
+        markdown.replace("](../docs/", "](../")
+        if inside
+        else markdown.replace("](../benchmarks/", "](benchmarks/")
+    )
     # Notebooks are no pages of the site.
     markdown = re.sub(r"\[([^\]]+)\]\(((?:\.\./)*notebooks/[^)]+)\)", r"\1 (`\2`)", markdown)
     markdown = re.sub(r"<!-- header: ([\w.]+) -->", lambda found: as_markdown(docstring(found[1])), markdown)
-    markdown = re.sub(r"<!-- source: (\S+) (\w+)(?: (\w+))? -->", lambda found: source(*found.groups()), markdown)
+    markdown = re.sub(
+        r"<!-- source: (\S+) (\w+)(?: (\w+))? -->", lambda found: source(*found.groups()), markdown
+    )
     markdown = markdown.replace("<!-- families -->", overview() if "<!-- families -->" in markdown else "")
     return re.sub(r"<!-- family: (\w+) -->", lambda found: facts(found[1]), markdown)
 
@@ -53,7 +66,13 @@ def facts(family: str) -> str:
     lines += ["| | |", "|---|---|", f"| joints, base to tool | {rule.joints} |", f"| task | `{rule.task}` |"]
     lines += [f"| arms of the catalogue | {', '.join(f'`{name}`' for name in members) or 'none'} |"]
     lines += [f"| slots | {len(arm.branches)} |", f"| file | `{module.replace('.', '/')}.py` |", ""]
-    lines += ["## Which facts define it", "", f"As `ikjax.explain` finds them for {said(arm)}:", "", "```text"]
+    lines += [
+        "## Which facts define it",
+        "",
+        f"As `ikjax.explain` finds them for {said(arm)}:",
+        "",
+        "```text",
+    ]
     lines += [line.strip() for line in ikjax.explain(arm).splitlines() if line.startswith("  yes")]
     lines += ["```", "", "## Slots", "", "| slot | bits, highest first | name |", "|---|---|---|"]
     width = max(len(arm.branches) - 1, 1).bit_length()
@@ -110,12 +129,12 @@ def docstring(module: str) -> str:
 def as_markdown(text: str) -> str:
     """A docstring with the blank lines that Markdown wants around its lists, and its headings bold."""
     lines: list[str] = []
+    number = 0
     for line in text.splitlines():
-        item = bool(re.match(r"\d+\. ", line))
-        inside = bool(lines) and bool(re.match(r"(\d+\. |   )", lines[-1]))
-        starts = item and not inside and lines and lines[-1]
-        ends = bool(line) and not item and not line.startswith("   ") and inside
-        if starts or ends:
+        item = line.startswith(f"{number + 1}. ")
+        begins, ends = item and number == 0, number and line and not item and not line.startswith("   ")
+        if (begins or ends) and lines and lines[-1]:
             lines.append("")
+        number = number + 1 if item else 0 if ends else number
         lines.append(re.sub(r"^([A-Z]\w+):(?= |$)", r"**\1:**", line))
     return "\n".join(lines)

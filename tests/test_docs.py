@@ -53,7 +53,9 @@ def alike(shown: str, said: str) -> bool:
     """Whether two outputs are the same but for spaces and the last digits of numbers."""
     first, second = (re.sub(r"\s+", "", NUMBER.sub("#", text)) for text in (shown, said))
     numbers = [np.array([float(x) for x in NUMBER.findall(text)]) for text in (shown, said)]
-    return first == second and len(numbers[0]) == len(numbers[1]) and np.allclose(*numbers, rtol=0.02, atol=2e-3)
+    return (
+        first == second and len(numbers[0]) == len(numbers[1]) and np.allclose(*numbers, rtol=0.02, atol=2e-3)
+    )
 
 
 def _mark(page):
@@ -92,4 +94,6 @@ def test_every_public_name_stands_in_the_api():
     for module in (ikjax, ikjax.maps):
         lines = pathlib.Path(module.__file__).read_text()
         for name in re.findall(r"^from \S+ import (\w+) as \1$", lines, re.M):
-            assert name in ("maps", "robots", "objectives") or re.search(rf"^::: \S+\.{name}$", text, re.M), name
+            assert name in ("maps", "robots", "objectives") or re.search(rf"^::: \S+\.{name}$", text, re.M), (
+                name
+            )

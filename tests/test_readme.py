@@ -27,13 +27,6 @@ def test_the_python_of_the_readme_runs(code, tmp_path):
     assert done.returncode == 0, done.stderr[-2000:]
 
 
-@pytest.mark.slow
-def test_the_python_of_the_page_on_gradients_runs(tmp_path):
-    (code,) = blocks("python", (ROOT / "docs" / "gradients.md").read_text())
-    done = run([sys.executable, "-c", code], tmp_path)
-    assert done.returncode == 0, done.stderr[-2000:]
-
-
 def test_the_commands_of_the_readme_run(tmp_path):
     assert len(blocks("python")) > 2
     commands = [line for block in blocks("console") for line in block.splitlines() if line.startswith("$ ")]
