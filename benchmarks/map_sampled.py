@@ -20,7 +20,7 @@ import numpy as np
 
 from ikjax.core import vector
 from ikjax.core.trig import atan2, sincos
-from ikjax.ik.batched import wide_vectors
+from ikjax.core.xla import wide_vectors
 
 BATCH = 500_000
 

@@ -14,7 +14,7 @@ import ikjax
 from ikjax.core import cores
 from ikjax.core.pose import Pose
 from ikjax.core.tolerances import VALID
-from ikjax.ik.batched import wide_vectors
+from ikjax.core.xla import wide_vectors
 from ikjax.solvers.pipeline import solve_scalars
 
 BLOCK = 4096

@@ -20,7 +20,8 @@ from scipy.spatial.transform import Rotation
 
 import ikjax
 from ikjax.core import cores
-from ikjax.ik.batched import BLOCK, wide_vectors
+from ikjax.core.xla import wide_vectors
+from ikjax.ik.batched import BLOCK
 from ikjax.ik.multistart import closed
 
 LENGTH = 0.1

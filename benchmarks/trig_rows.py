@@ -13,7 +13,7 @@ import mpmath
 import numpy as np
 
 from ikjax.core import trig
-from ikjax.ik.batched import wide_vectors
+from ikjax.core.xla import wide_vectors
 
 
 @dataclasses.dataclass(frozen=True)

@@ -20,7 +20,7 @@ from ikjax.core.known import as_array
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Scalar, sincos
 from ikjax.core.vector import plus, times
-from ikjax.core.xla import pin
+from ikjax.core.xla import pin, pin_number
 
 
 class Link(NamedTuple):
@@ -41,15 +41,7 @@ def _twist(alpha: Scalar, noise: float) -> tuple[Scalar, ...]:
         return tuple(float(round(x)) if abs(x - round(x)) < noise else x for x in exact)
     # The value is snapped, the slope is not: twists stay differentiable.
     snapped = (x + jax.lax.stop_gradient(jnp.where(jnp.abs(x) < noise, -x, 0)) for x in sincos(alpha))
-    return tuple(map(_found_once, snapped))
-
-
-def _found_once(x: jax.Array) -> jax.Array:
-    """A number of a traced arm as a value of its own: XLA would find it again for every goal.
-
-    A division is dear enough that it stays out of the loops which read it.
-    """
-    return x / jnp.where(x == x, 1, 2).astype(x.dtype)
+    return tuple(map(pin_number, snapped))
 
 
 def links(arm: Arm) -> tuple[Link, ...]:
@@ -77,7 +69,7 @@ def known_sincos(angle: Scalar) -> tuple[Scalar, Scalar]:
     if isinstance(angle, float):
         return math.sin(angle), math.cos(angle)
     sine, cosine = sincos(angle)
-    return _found_once(sine), _found_once(cosine)
+    return pin_number(sine), pin_number(cosine)
 
 
 class Joint(NamedTuple):

@@ -4,13 +4,23 @@ Every entry may be an array of any batch shape.
 Source: the square-root-free Cholesky factorization; Golub and Van Loan, Matrix Computations, section 4.1.
 """
 
+import functools
+from collections.abc import Sequence
+
 import jax.numpy as jnp
 
 from ikjax.core import safe
 from ikjax.core.trig import Scalar
+from ikjax.core.vector import plus, times
 from ikjax.core.xla import pin
 
 Row = list[Scalar]
+
+
+def dot(u: Sequence[Scalar], v: Sequence[Scalar]) -> Scalar:
+    """The inner product of two sequences of any one length; products with a known zero or one are left
+    out."""
+    return functools.reduce(plus, map(times, u, v))
 
 
 def solve_symmetric(

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from ikjax.core import safe
+from ikjax.core.linear import dot
 from ikjax.core.trig import Scalar
 
 Column = tuple[Scalar, ...]
@@ -41,7 +42,7 @@ def _(primals, tangents):
     (columns,), (rates,) = primals, tangents
     lefts, rights = _vectors(columns)
     values = tuple(map(_length, lefts))
-    moves = [_dot(left, _times(rates, right)) for left, right in zip(lefts, rights, strict=True)]
+    moves = [dot(left, _times(rates, right)) for left, right in zip(lefts, rights, strict=True)]
     return values, tuple(map(safe.divide, moves, values))
 
 
@@ -61,11 +62,11 @@ def _(primals, tangents):
     (columns,), (rates,) = primals, tangents
     lefts, rights = _vectors(columns)
     moved = [_times(rates, right) for right in rights]
-    squares, count = [_dot(w, w) for w in lefts], range(len(lefts))
+    squares, count = [dot(w, w) for w in lefts], range(len(lefts))
     turns = {}
     for i in count:
         for j in range(i):
-            slip = _dot(lefts[i], moved[j]) + _dot(lefts[j], moved[i])
+            slip = dot(lefts[i], moved[j]) + dot(lefts[j], moved[i])
             turns[i, j] = safe.divide(slip, squares[j] - squares[i])
             turns[j, i] = -turns[i, j]
 
@@ -91,7 +92,7 @@ def volume(columns: Sequence[Column]) -> Scalar:
     product: Scalar = 1.0
     for column in columns:
         for way in ways:
-            along = _dot(way, column)
+            along = dot(way, column)
             column = tuple(x - along * y for x, y in zip(column, way, strict=True))
         length = _length(column)
         ways.append(tuple(safe.divide(x, length) for x in column))
@@ -120,8 +121,8 @@ def _turned(columns: Sequence[Column], rows: int) -> list[Column]:
 
 def _apart(first: Column, second: Column, rows: int) -> tuple[Column, Column]:
     """Two columns turned within their plane until they are square to each other, by the lesser turn."""
-    more = _dot(second[:rows], second[:rows]) - _dot(first[:rows], first[:rows])
-    twice = 2 * _dot(first[:rows], second[:rows])
+    more = dot(second[:rows], second[:rows]) - dot(first[:rows], first[:rows])
+    twice = 2 * dot(first[:rows], second[:rows])
     tangent = safe.divide(safe.sign(more) * twice, jnp.abs(more) + safe.sqrt(more * more + twice * twice))
     cosine = 1 / jnp.sqrt(1 + tangent * tangent)
     sine = cosine * tangent
@@ -133,10 +134,6 @@ def _length(column: Column) -> Scalar:
     return safe.norm(*column)
 
 
-def _dot(u: Column, v: Column) -> Scalar:
-    return sum(x * y for x, y in zip(u, v, strict=True))
-
-
 def _times(columns: Sequence[Column], factors: Column) -> Column:
     """The sum of the columns, each by its factor."""
-    return tuple(_dot(row, factors) for row in zip(*columns, strict=True))
+    return tuple(dot(row, factors) for row in zip(*columns, strict=True))

@@ -17,12 +17,11 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.experimental.layout import Layout, with_layout_constraint
 
 from ikjax.arm.arm import Arm
 from ikjax.core import cores
-from ikjax.core.xla import divider, pinning
-from ikjax.ik.inline import FIELDS, slots_of
+from ikjax.core.xla import divider, pinning, to_columns, to_rows, wide_vectors
+from ikjax.ik.inline import FIELDS, Entries, slots_of
 from ikjax.ik.results import Solutions
 
 BLOCK, BLOCKS = 4096, 4
@@ -35,17 +34,6 @@ THREADS = cores.usable()
 
 AHEAD = 4
 """Pieces that may be under way while the first of them is put in its place."""
-
-
-def wide_vectors() -> dict[str, str]:
-    """Compiler options for kernels of ours: XLA's own choice is 256 bits, half of what AVX-512 has."""
-    return {"xla_cpu_prefer_vector_width": "512"} if jax.default_backend() == "cpu" else {}
-
-
-def one_thread() -> dict[str, str | bool]:
-    """Compiler options for kernels of which several run at once: nothing is shared out inside."""
-    alone = {"xla_cpu_multi_thread_eigen": False} if jax.default_backend() == "cpu" else {}
-    return {**wide_vectors(), **alone}
 
 
 def solve_blocks(arm: Arm, goals: jax.Array, q_now, tolerance: float | None) -> Solutions:
@@ -134,17 +122,10 @@ def _piece(block, known, rest, inputs, blocks):
     return jax.lax.fori_loop(0, blocks, lambda i, whole: _placed(whole, rows(i), i * BLOCK), empty)
 
 
-def columns_of(rows: jax.Array) -> jax.Array:
-    """A block of rows turned to columns.
-
-    Read in place, numbers apart, all that looks at a row would be computed in scalars.
-    """
-    return with_layout_constraint(rows.reshape(BLOCK, -1).T, Layout((0, 1)))
-
-
-def packed(values) -> jax.Array:
-    """Columns (BLOCK,) as rows (BLOCK, their number)."""
-    return jnp.stack([jnp.broadcast_to(x, (BLOCK,)) for x in values]).T
+def entries_in(goals: jax.Array) -> Entries:
+    """The sixteen numbers of a block of goals (BLOCK, 4, 4), each an array (BLOCK,)."""
+    columns = to_columns(goals)
+    return tuple(tuple(columns[4 * i + j] for j in range(4)) for i in range(4))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -155,10 +136,9 @@ class Solving:
 
     def __call__(self, arm: Arm, rows) -> Solutions:
         goals, q_now = rows
-        columns = columns_of(goals)
-        entries = tuple(tuple(columns[4 * i + j] for j in range(4)) for i in range(4))
+        entries = entries_in(goals)
         with pinning(divider(entries[0][3])):
             slots = slots_of(arm, entries, q_now, self.tolerance)
-        q = packed([x for slot in slots for x in slot.q]).reshape(BLOCK, len(slots), arm.n)
-        rest = {name: packed([getattr(slot, name) for slot in slots]) for name in FIELDS}
+        q = to_rows([x for slot in slots for x in slot.q], BLOCK).reshape(BLOCK, len(slots), arm.n)
+        rest = {name: to_rows([getattr(slot, name) for slot in slots], BLOCK) for name in FIELDS}
         return Solutions(q=q, is_pose=jnp.broadcast_to(slots[0].is_pose, (BLOCK,)), **rest)

@@ -24,9 +24,8 @@ from ikjax.arm.arm import Arm
 from ikjax.arm.forward import reach
 from ikjax.core.known import is_traced
 from ikjax.core.pose import Pose, clean
-from ikjax.core.xla import AgreedRoots, divider, opaque_one, pinning
+from ikjax.core.xla import AgreedRoots, divider, hidden, pinning, through_one_number
 from ikjax.ik.results import Solutions
-from ikjax.solvers.context import in_bits
 from ikjax.solvers.families import FAMILIES
 from ikjax.solvers.pipeline import Slot, solve_scalars
 
@@ -98,9 +97,7 @@ def solve_here(arm: Arm, goals: jax.Array, q_now, tolerance) -> Solutions:
         with pinning(policy):
             return gathered(slots_of(arm, entries, q_now, tolerance), goals.shape[:-2])
     roots = AgreedRoots(policy)
-    # XLA would otherwise see what the roots and the masks have in common, and store all of it.
-    one = opaque_one(goals[..., 0, 3])
-    apart = tuple(tuple(x * one for x in row) for row in entries)
+    apart = hidden(entries, goals[..., 0, 3])
     with pinning(None), roots.recorded():
         slots_of(arm, apart, q_now, tolerance)
     with pinning(None), roots.replayed():
@@ -123,12 +120,7 @@ def gathered(slots: tuple[Slot, ...], shape: tuple[int, ...], **instead: jax.Arr
 
 
 def _mask(flags: list[jax.Array], goals: jax.Array) -> jax.Array:
-    """Flags (...) as one array (..., S), through one number a goal.
-
-    A stack of eight fused kernels would be computed by eight branches, in scalars; a number that all
-    entries need is computed once, in one loop. XLA on a CPU keeps such a loop whole up to some 2,000
-    instructions; beyond, it computes shared values again and again (a test counts them).
-    """
-    code = divider(goals[..., 0, 3])(jnp.broadcast_to(in_bits(flags, goals.dtype), goals.shape[:-2]))
+    """Flags (...) as one array (..., S), through one number a goal."""
+    code = through_one_number(flags, goals, goals.shape[:-2], divider(goals[..., 0, 3]))
     places = jnp.arange(len(flags), dtype=jnp.int32).reshape((1,) * (goals.ndim - 2) + (-1,))
-    return (code.astype(jnp.int32)[..., None] >> places & 1) == 1
+    return (code[..., None] >> places & 1) == 1

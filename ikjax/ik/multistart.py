@@ -19,7 +19,7 @@ from ikjax.core.known import as_array, is_traced, stop_gradient
 from ikjax.core.pose import Pose, nearest_pose
 from ikjax.core.tolerances import CONVERGED, NEARLY_ROTATION
 from ikjax.core.trig import Scalar
-from ikjax.core.xla import Pin, divider_once, pinning
+from ikjax.core.xla import Pin, divider_once, one_by_one, pinning, to_columns, to_rows
 from ikjax.ik import batched, newton
 from ikjax.ik import lexicographic as priorities
 from ikjax.ik.inline import Entries, entries_of
@@ -58,9 +58,8 @@ class _AtLimits:
     """A block of goals."""
 
     def __call__(self, arm: Arm, goals: jax.Array) -> jax.Array:
-        columns = batched.columns_of(goals)
-        rows = _at_limits(arm, tuple(tuple(columns[4 * i + j] for j in range(4)) for i in range(4)))
-        return batched.packed([x for row in rows for x in row]).reshape(-1, len(rows), arm.n)
+        rows = _at_limits(arm, batched.entries_in(goals))
+        return to_rows([x for row in rows for x in row], batched.BLOCK).reshape(-1, len(rows), arm.n)
 
 
 def _at_limits(arm: Arm, entries: Entries) -> list[tuple[jax.Array, ...]]:
@@ -251,12 +250,11 @@ class _Descending:
 
     def __call__(self, arm: Arm, rows) -> dict[str, jax.Array]:
         goals, length, steps, starts, damping = rows
-        columns = batched.columns_of(goals)
-        entries = tuple(tuple(columns[4 * i + j] for j in range(4)) for i in range(4))
+        entries = batched.entries_in(goals)
         if starts is not None:
-            spread = batched.columns_of(starts).reshape(*starts.shape[1:], -1)
+            spread = to_columns(starts).reshape(*starts.shape[1:], -1)
             starts = tuple(spread[:, i] for i in range(arm.n))
-            damping = None if damping is None else batched.columns_of(damping)
+            damping = None if damping is None else to_columns(damping)
         goal, proper, policy = asked(arm, entries)
         starts = proposals(arm, goal, policy) if starts is None else starts
 
@@ -266,11 +264,10 @@ class _Descending:
             found = from_starts(arm, goal, proper, q, worth, steps[0, 0], easing, self.priority)
             return jax.tree.map(lambda x: x[0], found)
 
-        # One start after the other: what lies between two steps of all of them is more than a cache holds.
-        found = jax.lax.map(of_one, (starts, damping))
+        found = one_by_one(of_one, (starts, damping))
         count = found.cost.shape[0]
-        fields = {name: batched.packed(list(getattr(found, name))) for name in (*FIELDS, "damping")}
-        q = batched.packed([x[s] for s in range(count) for x in found.q])
+        fields = {name: to_rows(list(getattr(found, name)), batched.BLOCK) for name in (*FIELDS, "damping")}
+        q = to_rows([x[s] for s in range(count) for x in found.q], batched.BLOCK)
         return {**fields, "q": q.reshape(-1, count, arm.n)}
 
 
@@ -280,11 +277,10 @@ class _Closed:
 
     def __call__(self, arm: Arm, rows) -> dict[str, jax.Array]:
         goals, length = rows
-        columns = batched.columns_of(goals)
-        entries = tuple(tuple(columns[4 * i + j] for j in range(4)) for i in range(4))
+        entries = batched.entries_in(goals)
         slots = closed(arm, entries, length[:, 0])
-        fields = {name: batched.packed([getattr(slot, name) for slot in slots]) for name in FIELDS}
-        q = batched.packed([x for slot in slots for x in slot.q])
+        fields = {name: to_rows([getattr(slot, name) for slot in slots], batched.BLOCK) for name in FIELDS}
+        q = to_rows([x for slot in slots for x in slot.q], batched.BLOCK)
         return {**fields, "q": q.reshape(-1, len(slots), arm.n)}
 
 

@@ -28,7 +28,7 @@ from ikjax.arm.forward import Chain, chain, fixed_pose, reach, whole_turns
 from ikjax.arm.twists import Twist, of_joints, plane
 from ikjax.core import pose as poses
 from ikjax.core import safe, vector
-from ikjax.core.linear import solve_symmetric
+from ikjax.core.linear import dot, solve_symmetric
 from ikjax.core.pose import Pose
 from ikjax.core.tolerances import CONVERGED, CURVATURE_FLOOR, NEARLY_FLAT, SADDLE_PUSH
 from ikjax.core.trig import Scalar
@@ -170,17 +170,13 @@ def _of_motors(arm: Arm, slope: list, curve: list[list]) -> tuple[list, list[lis
         # A column of the coupling says how far each joint moves.
         ways = [numbers(arm.coupling[:, i]) for i in range(n)]
         whole = [[curve[max(i, j)][min(i, j)] for j in range(n)] for i in range(n)]
-        slope = [_dot(way, slope) for way in ways]
-        pulls = [[_dot(row, way) for row in whole] for way in ways]
-        curve = [[_dot(ways[i], pulls[j]) for j in range(i + 1)] for i in range(n)]
+        slope = [dot(way, slope) for way in ways]
+        pulls = [[dot(row, way) for row in whole] for way in ways]
+        curve = [[dot(ways[i], pulls[j]) for j in range(i + 1)] for i in range(n)]
     units = [size if kind == "P" else 1 for kind in arm.kinds]
     slope = [times(unit, x) for unit, x in zip(units, slope, strict=True)]
     curve = [[times(times(units[i], units[j]), x) for j, x in enumerate(row)] for i, row in enumerate(curve)]
     return slope, curve
-
-
-def _dot(u, v) -> Scalar:
-    return functools.reduce(plus, map(times, u, v))
 
 
 def bounds(arm: Arm) -> list[tuple[Scalar, Scalar]]:

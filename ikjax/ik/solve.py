@@ -16,6 +16,7 @@ import numpy as np
 from ikjax.arm.arm import Arm
 from ikjax.core.known import as_array, is_traced, stop_gradient
 from ikjax.core.warn import MOST_TURNS, warn_of_degrees
+from ikjax.core.xla import not_folded
 from ikjax.ik import batched
 from ikjax.ik.inline import solve_here
 from ikjax.ik.refusal import refusal
@@ -66,8 +67,7 @@ def solve(
     if not is_traced((arm, goals, q_now)):
         return _solved(arm, goals, q_now, pose_tolerance)
     if not is_traced(goals):
-        # Goals that a jit captures are constants to XLA, which would fold what holds shared values apart.
-        goals = jax.lax.optimization_barrier(goals)
+        goals = not_folded(goals)
     sol = _solved(*stop_gradient((arm, goals, q_now)), pose_tolerance)
     q, margin = with_slopes(arm, goals, sol.q, sol.valid, sol.margin, damping)
     return dataclasses.replace(sol, q=q, margin=margin)

@@ -14,8 +14,6 @@ Hanafusa (1986).
 """
 
 import functools
-import math
-from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -26,11 +24,10 @@ from ikjax.arm import twists
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import chain, fixed_pose, reach
 from ikjax.core import pose as poses
-from ikjax.core import vector
-from ikjax.core.linear import solve_symmetric
+from ikjax.core.linear import dot, solve_symmetric
 from ikjax.core.tolerances import GRADIENT_DAMPING
 from ikjax.core.trig import Scalar
-from ikjax.core.xla import divider, opaque_one, pinning
+from ikjax.core.xla import divider, in_blocks, opaque_one, pinning
 from ikjax.ik.inline import entries_of, slots_of
 
 BLOCK = 4096
@@ -83,7 +80,7 @@ def _slope_of_joints(known: Known, damping: float, primals, tangents):
         return _motion(arm, arm_rates, goal_rates, q, valid, damping)
 
     goal_rates = None if isinstance(tangents[1], SymbolicZero) else tangents[1]
-    return q, _blockwise(motion, valid.shape[:-1], (goal_rates, q, valid))
+    return q, in_blocks(motion, valid.shape[:-1], (goal_rates, q, valid), BLOCK)
 
 
 _joints.defjvp(_slope_of_joints, symbolic_zeros=True)
@@ -97,28 +94,6 @@ def _arm_of_rates(known: Known, leaf_rates: list) -> Arm:
         for (shape, dtype, keep, _), rate in zip(parts, leaf_rates, strict=True)
     ]
     return jax.tree.unflatten(form, rates)
-
-
-def _blockwise(f: Callable[..., jax.Array], batch: tuple[int, ...], rows) -> jax.Array:
-    """f of rows (*batch, ...), in blocks that fit a CPU's cache.
-
-    Nothing of a block but its rows is kept for reverse mode: to compute it again is cheaper than to fetch it.
-    """
-    count = math.prod(batch)
-    # One loop would gather what is spread over devices, and a GPU has no use for it.
-    if count <= BLOCK or jax.default_backend() != "cpu" or jax.device_count() > 1:
-        return f(*rows)
-    blocks = -(-count // BLOCK)
-    size = -(-count // blocks)
-
-    def cut(x):
-        flat = x.reshape(count, *x.shape[len(batch) :])
-        flat = jnp.pad(flat, [(0, blocks * size - count), *[(0, 0)] * (flat.ndim - 1)])
-        return flat.reshape(blocks, size, *flat.shape[1:])
-
-    each = jax.checkpoint(lambda x: f(*x), prevent_cse=False)
-    found = jax.lax.map(each, jax.tree.map(cut, rows))
-    return found.reshape(-1, *found.shape[2:])[:count].reshape(*batch, *found.shape[2:])
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -175,22 +150,18 @@ def _motion(arm: Arm, arm_rates: Arm | None, goal_rates, q, valid, damping):
     units = [size if kind == "P" else 1.0 for kind in arm.kinds]
     motions = zip(units, twists.of_motors(arm, found, reached.position), strict=True)
     columns = [[divide(x) for x in rows(motion.times(unit))] for unit, motion in motions]
-    matrix = [[divide(_dot(u, v)) for v in columns] for u in columns]
+    matrix = [[divide(dot(u, v)) for v in columns] for u in columns]
     for i in range(arm.n):
         matrix[i][i] = matrix[i][i] + damping * damping
     still = ~slots_first(valid)
-    right = [divide(jnp.broadcast_to(_dot(u, wanted), still.shape)) for u in columns]
+    right = [divide(jnp.broadcast_to(dot(u, wanted), still.shape)) for u in columns]
 
     def solved(_, b):
         with pinning(divide):
             return solve_symmetric(matrix, b)
 
     steps = jax.lax.custom_linear_solve(
-        lambda x: [_dot(row, x) for row in matrix], right, solved, symmetric=True
+        lambda x: [dot(row, x) for row in matrix], right, solved, symmetric=True
     )
     moves = [jnp.where(still, 0, unit * step) for unit, step in zip(units, steps, strict=True)]
     return jnp.stack([jnp.moveaxis(jnp.broadcast_to(x, still.shape), 0, -1) for x in moves], axis=-1)
-
-
-def _dot(u, v) -> Scalar:
-    return functools.reduce(vector.plus, map(vector.times, u, v))

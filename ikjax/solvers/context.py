@@ -1,12 +1,9 @@
 """What a family is handed besides a goal, and one closed-form answer as it hands it on."""
 
-import functools
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from ikjax.arm.forward import Joint, Link, known_sincos, unwind
 from ikjax.core import safe
@@ -111,12 +108,6 @@ class Branch(NamedTuple):
     """The slot stands for a one-parameter family of answers."""
     miss: Scalar = 0.0
     """How far the goal is from all that joints so few can do, in units of the reach and rad."""
-
-
-def in_bits(masks: Sequence[jax.Array], dtype) -> jax.Array:
-    """Masks as bits of one number, the first lowest."""
-    one = np.dtype(dtype).type
-    return functools.reduce(jnp.add, [jnp.where(m, one(2**k), one(0)) for k, m in enumerate(masks)])
 
 
 def bits(slot: int, count: int = 3) -> tuple[int, ...]:

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from ikjax.arm.forward import Link, advance
 from ikjax.core import pose as poses
 from ikjax.core import safe, vector
-from ikjax.core.linear import solve_symmetric
+from ikjax.core.linear import dot, solve_symmetric
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Angle, Scalar
 from ikjax.core.vector import Vector
@@ -253,10 +253,10 @@ def _step(given: Given, joints: Joints, goal: Pose, turning: bool, setting: Sett
     motions = [m[:rows] for m in motions]
     wanted = wanted[:rows]
     count = len(joints)
-    matrix = [[pin(_dot(motions[i], motions[j])) for j in range(i + 1)] for i in range(count)]
+    matrix = [[pin(dot(motions[i], motions[j])) for j in range(i + 1)] for i in range(count)]
     for i in range(count):
         matrix[i][i] = matrix[i][i] + setting.tiny / 4
-    steps = solve_symmetric(matrix, [pin(_dot(m, wanted)) for m in motions])
+    steps = solve_symmetric(matrix, [pin(dot(m, wanted)) for m in motions])
     size = functools.reduce(jnp.maximum, map(abs, steps))
     shrink = pin(LARGEST_STEP / jnp.maximum(size, LARGEST_STEP))
     moved = (_rounded(moved_on(joint, step * shrink)) for joint, step in zip(joints, steps, strict=True))
@@ -269,7 +269,3 @@ def _rounded(joint: Angle | Slide) -> Angle | Slide:
         return joint
     size = safe.reciprocal_sqrt(joint.sin * joint.sin + joint.cos * joint.cos)
     return Angle(joint.sin * size, joint.cos * size, ())
-
-
-def _dot(u, v) -> Scalar:
-    return functools.reduce(vector.plus, map(vector.times, u, v))

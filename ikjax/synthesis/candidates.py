@@ -17,8 +17,7 @@ import numpy as np
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import reach
 from ikjax.core.pose import Pose, clean
-from ikjax.core.xla import divider, pinning
-from ikjax.ik.batched import wide_vectors
+from ikjax.core.xla import divider, pinning, wide_vectors
 from ikjax.ik.inline import is_small
 from ikjax.maps.kernel.sample import Goal
 from ikjax.maps.reach_map import ReachMap
@@ -64,8 +63,8 @@ def solved(arm: Arm, goals: np.ndarray, points: np.ndarray, turns: np.ndarray, l
         shift = points @ _about_z(-turn).T - stay
         parts = itertools.product(range(0, len(goals), width), range(0, len(points), CALL))
         for first, at in parts:
-            # What is too much repeats the first goal, so that no margin has to be left out of the worst: a
-            # choice before the minimum took XLA (jax 0.12) thirteen minutes to compile.
+            # Padding repeats the first goal, so that no margin has to be masked out of the minimum: see the
+            # notes at the end of `core.xla`.
             some = first + np.arange(width)
             here = np.count_nonzero(some < len(goals))
             some = np.where(some < len(goals), some, first)

@@ -15,7 +15,7 @@ import numpy as np
 from ikjax.arm.arm import Arm
 from ikjax.core import vector
 from ikjax.core.pose import Pose
-from ikjax.ik.batched import wide_vectors
+from ikjax.core.xla import wide_vectors
 from ikjax.maps.kernel.accumulators import Group, words_of
 from ikjax.maps.kernel.loop import each_goal, rows_of
 from ikjax.maps.kernel.sample import GROUP, Lane

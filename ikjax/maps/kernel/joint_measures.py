@@ -23,7 +23,7 @@ from ikjax.arm.twists import Twist, of_motors
 from ikjax.core import pose as poses
 from ikjax.core import safe, vector
 from ikjax.core.trig import Scalar
-from ikjax.core.xla import pin, pinning
+from ikjax.core.xla import one_by_one, pin, pinning
 from ikjax.maps.kernel.flags import distance
 from ikjax.maps.kernel.sample import Goal
 from ikjax.solvers.context import Joints, Slide
@@ -203,7 +203,6 @@ MEASURES = {"manipulability": manipulability, "sigma_min": sigma_min}
 def _of_slots(goal: Goal, what: str) -> list[jax.Array]:
     """How well the arm moves at each slot, valid or not; computed once a goal."""
 
-    # A loop, because eight of these would compile for half a minute.
     def row(slot) -> list[jax.Array]:
         pairs = [(j.value,) if isinstance(j, Slide) else (j.sin, j.cos) for j in slot.joints]
         return [jnp.broadcast_to(x, goal.shape) for pair in pairs for x in pair]
@@ -220,7 +219,7 @@ def _of_slots(goal: Goal, what: str) -> list[jax.Array]:
             return MEASURES[what](jacobian_columns(goal.arm, tuple(joints)))
 
     if what not in goal.kept:
-        goal.kept[what] = list(jax.lax.map(measure, jnp.stack([jnp.stack(row(slot)) for slot in goal.slots])))
+        goal.kept[what] = list(one_by_one(measure, jnp.stack([jnp.stack(row(slot)) for slot in goal.slots])))
     return goal.kept[what]
 
 

@@ -15,7 +15,8 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from ikjax.arm.arm import Arm
-from ikjax.ik.batched import THREADS, one_thread
+from ikjax.core.xla import one_thread
+from ikjax.ik.batched import THREADS
 from ikjax.ik.inline import is_small
 from ikjax.maps.kernel.accumulators import JOIN, Word, groups_of
 from ikjax.maps.kernel.certify import Certifier, lanes_of, program

@@ -4,13 +4,11 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 
 from ikjax.arm.arm import Arm
 from ikjax.core.pose import Pose
-from ikjax.core.xla import Pin
+from ikjax.core.xla import Pin, through_one_number
 from ikjax.maps.kernel.flags import any_doubtful, within
-from ikjax.solvers.context import in_bits
 from ikjax.solvers.pipeline import Slot
 
 GROUP = 32
@@ -57,8 +55,7 @@ class Goal(NamedTuple):
         """
         flags = [flag for inside in kinds for flag in self.flags(inside)]
         flags += [self.doubt()] if doubt else []
-        dtype = self.slots[0].margin.dtype
-        code = self.pin(jnp.broadcast_to(in_bits(flags, dtype), self.shape)).astype(jnp.int32)
+        code = through_one_number(flags, self.slots[0].margin, self.shape, self.pin)
         read = [(code >> k & 1) == 1 for k in range(len(flags))]
         count = len(self.slots)
         parts = {inside: read[k * count : (k + 1) * count] for k, inside in enumerate(kinds)}

@@ -21,6 +21,7 @@ import jax.numpy as jnp
 
 from ikjax.arm.forward import Link
 from ikjax.core import safe, vector
+from ikjax.core.linear import dot
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Angle, Scalar, SinCos
 from ikjax.core.vector import Vector
@@ -173,8 +174,8 @@ def elbow_algebraic(x: Scalar, y: Scalar, upper: Scalar, fore: Scalar, left: int
 def _turn_slide(c, u, sign, where, tip, setting) -> tuple[Way, ...]:
     """Turn about c, then slide along u: the slide makes the distance, the turn the direction."""
     arm, gap = _minus(tip, c), _minus(where, c)
-    along, beside = _dot(arm, u), _cross(u, arm)
-    far_squared = _dot(gap, gap)
+    along, beside = dot(arm, u), _cross(u, arm)
+    far_squared = dot(gap, gap)
     root = agreed_root(far_squared - beside * beside)
     margin = safe.sqrt(far_squared) - abs(beside)
     ways = []
@@ -189,7 +190,7 @@ def _slide_turn(c, u, sign, where, tip, setting) -> tuple[Way, ...]:
     """Slide along u, then turn about c, which slides along: a line meets a circle."""
     arm, gap = _minus(tip, c), _minus(where, c)
     ways = []
-    for q, margin in _line_and_circle(u, gap, _dot(arm, arm), setting):
+    for q, margin in _line_and_circle(u, gap, dot(arm, arm), setting):
         turn, free = setting.between(1, arm, (gap[0] - u[0] * q, gap[1] - u[1] * q), sign)
         ways.append(Way((Slide(q), turn), margin, free))
     return tuple(ways)
@@ -201,7 +202,7 @@ def _slide_last(c, u, signs, heading, where, tip, setting) -> tuple[Way, ...]:
     gap = _minus(_minus(where, _turned(heading, _minus(tip, c[1]))), c[0])
     u = _turned(heading, u)
     ways = []
-    for q, margin in _line_and_circle(u, gap, _dot(link, link), setting):
+    for q, margin in _line_and_circle(u, gap, dot(link, link), setting):
         first, free = setting.between(0, link, (gap[0] - u[0] * q, gap[1] - u[1] * q), signs[0])
         rest = _sum(heading, (-signs[0] * first.sin, first.cos))
         ways.append(Way((first, setting.angle(signs[1] * rest[0], rest[1]), Slide(q)), margin, free))
@@ -213,7 +214,7 @@ def _line_and_circle(u, gap, radius_squared, setting):
     beside = _cross(u, gap)
     root = agreed_root(radius_squared - beside * beside)
     margin = safe.sqrt(radius_squared) - abs(beside)
-    return [(pin(_dot(gap, u) + side * root), margin) for side in (1, -1)]
+    return [(pin(dot(gap, u) + side * root), margin) for side in (1, -1)]
 
 
 def _two_slides(kinds, c, u, signs, heading, where, tip, setting) -> tuple[Way, ...]:
@@ -236,10 +237,6 @@ def _along(gap: Point, u: Point, v: Point) -> Point:
 
 def _minus(u: Point, v: Point) -> Point:
     return u[0] - v[0], u[1] - v[1]
-
-
-def _dot(u: Point, v: Point) -> Scalar:
-    return u[0] * v[0] + u[1] * v[1]
 
 
 def _cross(u: Point, v: Point) -> Scalar:
