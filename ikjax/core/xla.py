@@ -7,7 +7,7 @@ AVX-512 unless another machine is named; `python benchmarks/guard.py` measures t
 Three facts explain most of it, all of XLA on a CPU (jax 0.10.2 to 0.12.0):
 
 1. A sum or a product is computed again in every fused loop that reads it. That is cheap where little is
-   shared and many times slower where a long chain of values is. A division is dear enough to be stored instead.
+   shared and many times slower where a long chain of values is. A division is dear enough to be stored.
 2. A loop with one result is fused into one pass over the batch; of a loop with several, each result may
    become a pass of its own.
 3. Emitting a loop takes time and code that grow with each repeated subexpression, without a bound.
