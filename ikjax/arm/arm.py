@@ -324,7 +324,7 @@ def _built(
 
 
 def _axes_of(kinds: str, columns: dict, tool: np.ndarray) -> Axes:
-    frames = dh.frames(kinds, columns)
+    frames = dh.frames(columns)
     return Axes(kinds, frames[:-1, :3, 2], frames[:-1, :3, 3], frames[-1] @ tool)
 
 

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ikjax.arm.dh import link_matrix
 from ikjax.core.tolerances import FARTHEST_NORMAL, NEARLY_PARALLEL
 
 
@@ -55,7 +56,7 @@ def rewritten(axes: Axes, tolerance: float) -> Rewritten:
         theta, d, a, alpha = _link(exact, axes, i, tolerance, size)
         for name, value in zip(("theta", "d", "a", "alpha"), (theta, d, a, alpha), strict=True):
             columns[name][i] = value
-        step = _dh(theta, d, a, alpha)
+        step = link_matrix(theta, d, a, np.sin(alpha), np.cos(alpha))
         exact = exact @ step
         following = _on_axis(exact, axes.along[i + 1], _point(axes, i + 1, exact))
         # given_i Rz(q) step correction = given_i Rz(q) (given_i^-1 following)
@@ -139,18 +140,6 @@ def _link(frame: np.ndarray, axes: Axes, i: int, tolerance: float, size: float):
         quarter = np.round(theta / (np.pi / 2)) * np.pi / 2
         theta = quarter if abs(theta - quarter) <= tolerance else theta
     return theta, d, a, alpha
-
-
-def _dh(theta: float, d: float, a: float, alpha: float) -> np.ndarray:
-    c, s, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
-    return np.array(
-        [
-            [c, -s * ca, s * sa, a * c],
-            [s, c * ca, -c * sa, a * s],
-            [0, sa, ca, d],
-            [0, 0, 0, 1.0],
-        ]
-    )
 
 
 def small_pose(twist: np.ndarray) -> np.ndarray:

@@ -5,6 +5,9 @@ Source: Craig, Introduction to Robotics, 3rd ed., equation (3.6); Spong, Robot M
 Control, equation (3.10).
 """
 
+import itertools
+from collections.abc import Iterable, Mapping
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -128,16 +131,33 @@ def check_correction(correction, n: int):
     return correction
 
 
-def frames(kinds: str, numbers: dict) -> np.ndarray:
-    """(n + 1, 4, 4) where a standard table puts the base and every link at q = 0."""
-    frames = [np.eye(4)]
-    for i in range(len(kinds)):
-        s, c = np.sin(numbers["theta"][i]), np.cos(numbers["theta"][i])
-        sa, ca = np.sin(numbers["alpha"][i]), np.cos(numbers["alpha"][i])
-        a, d = numbers["a"][i], numbers["d"][i]
-        link = [[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0, sa, ca, d], [0, 0, 0, 1]]
-        frames.append(frames[-1] @ np.array(link))
-    return np.stack(frames)
+def link_matrix(theta: float, d: float, a: float, sin_alpha: float, cos_alpha: float) -> np.ndarray:
+    """(4, 4) T_(i-1)_i of one row of a standard DH table: Rz(theta) Tz(d) Tx(a) Rx(alpha), in numpy.
+
+    The twist is given by its sine and cosine, which may have been set to exactly 0, 1 or -1.
+
+    Source: Spong, Robot Modeling and Control, equation (3.10).
+    """
+    s, c, sa, ca = np.sin(theta), np.cos(theta), sin_alpha, cos_alpha
+    return np.array(
+        [
+            [c, -s * ca, s * sa, a * c],
+            [s, c * ca, -c * sa, a * s],
+            [0, sa, ca, d],
+            [0, 0, 0, 1.0],
+        ]
+    )
+
+
+def link_frames(links: Iterable[np.ndarray]) -> np.ndarray:
+    """(n + 1, 4, 4) the base, which is the identity, and the frame after each link, from n link matrices."""
+    return np.stack(list(itertools.accumulate(links, np.matmul, initial=np.eye(4))))
+
+
+def frames(columns: Mapping[str, np.ndarray]) -> np.ndarray:
+    """(n + 1, 4, 4) the base and the frame after each link of a standard table at q = 0."""
+    rows = zip(*(columns[key] for key in ("theta", "d", "a", "alpha")), strict=True)
+    return link_frames(link_matrix(theta, d, a, np.sin(alpha), np.cos(alpha)) for theta, d, a, alpha in rows)
 
 
 def to_standard(convention: str, numbers: dict, base) -> tuple[dict, object, int]:

@@ -97,7 +97,7 @@ def _numbers(arm: Arm) -> dict[str, np.ndarray]:
 def _axes(arm: Arm) -> Axes:
     """Of the arm as given, its base left out."""
     numbers = _numbers(arm)
-    frames = dh.frames(arm.kinds, numbers)
+    frames = dh.frames(numbers)
     links = np.linalg.inv(frames[:-1]) @ frames[1:]
     off = np.zeros((arm.n + 1, 6)) if arm.correction is None else np.asarray(arm.correction, float)
     after = list(map(small_pose, off))

@@ -4,7 +4,7 @@ import oracle
 import pytest
 
 import ikjax
-from ikjax.arm import forward
+from ikjax.arm import dh, forward
 from ikjax.arm.arm import Arm
 from ikjax.core import pose as poses
 
@@ -120,3 +120,11 @@ def test_links_can_be_put_on_and_taken_off_again(rng):
 
     for got, wanted in jax.jit(there_and_back)(frame, goal, np.sin(0.8), np.cos(0.8), 0.3):
         np.testing.assert_allclose(jax.tree.leaves(got), jax.tree.leaves(wanted), atol=1e-15)
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_a_table_in_numpy_places_the_links_where_the_kernels_do(name):
+    arm = ARMS[name]
+    columns = {key: np.asarray(getattr(arm, key), float) for key in ("a", "alpha", "d", "theta")}
+    kernels = everything(arm, np.zeros(arm.n))[1]
+    np.testing.assert_allclose(np.asarray(arm.base) @ dh.frames(columns), kernels, atol=1e-15)

@@ -1,8 +1,11 @@
 """Facts about an arm's axes, each measured against a threshold."""
 
+import itertools
 from typing import NamedTuple
 
 import numpy as np
+
+from ikjax.arm.dh import link_frames, link_matrix
 
 
 class Check(NamedTuple):
@@ -119,17 +122,7 @@ class Table(NamedTuple):
         return np.stack(columns, axis=1)
 
     def frames(self, q: np.ndarray) -> np.ndarray:
-        """(n + 1, 4, 4) frames; slides in reaches."""
-        frames = [np.eye(4)]
-        for i, kind in enumerate(self.kinds):
-            turn, slide = (q[i], 0.0) if kind == "R" else (0.0, q[i] * self.size)
-            s, c = np.sin(self.theta[i] + turn), np.cos(self.theta[i] + turn)
-            sa, ca = self.sin[i], self.cos[i]
-            link = [
-                [c, -s * ca, s * sa, self.a[i] * c],
-                [s, c * ca, -c * sa, self.a[i] * s],
-                [0, sa, ca, self.d[i] + slide],
-                [0, 0, 0, 1],
-            ]
-            frames.append(frames[-1] @ np.array(link))
-        return np.stack(frames)
+        """(n + 1, 4, 4) the base and the frame after each link at joint values q; slides in reaches."""
+        turns, slides = np.where(self.turns, q, 0.0), np.where(self.turns, 0.0, q * self.size)
+        rows = zip(self.theta + turns, self.d + slides, self.a, self.sin, self.cos, strict=True)
+        return link_frames(itertools.starmap(link_matrix, rows))
