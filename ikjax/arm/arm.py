@@ -56,6 +56,11 @@ class Arm:
     correction: Number | None = dataclasses.field(default=None, kw_only=True)
     """(n + 1, 6) what the arm as given is off by after the base and after each link: shift [m], rotation
     vector [rad]. The table holds the arm as recognized; None is nothing."""
+    joint_names: tuple[str, ...] | None = dataclasses.field(
+        default=None, kw_only=True, metadata={"static": True}
+    )
+    """The names of the joints in the file that the arm was read from, one for each entry of `q`: of joints
+    that are driven together, the one that leads. None for an arm whose joints have no names."""
 
     kinds: str = dataclasses.field(metadata={"static": True})
     """The joints from base to tool, "R" or "P" each."""
@@ -73,6 +78,8 @@ class Arm:
         # Files name arms, and names go into tables, errors and logs: there they are one line each.
         object.__setattr__(self, "name", text.line(self.name))
         object.__setattr__(self, "branches", tuple(map(text.line, self.branches)))
+        if self.joint_names is not None:
+            object.__setattr__(self, "joint_names", tuple(map(text.line, self.joint_names)))
 
     @staticmethod
     def from_dh(
@@ -185,7 +192,8 @@ class Arm:
         limits = dh.check_limits(ranges, given.kinds)
         leaves = {"limits": limits, "coupling": coupling, "base": np.eye(4)}
         up = -1 if given.along[0][2] < -1e-9 else 1
-        return _nearest(given, leaves, axis_tolerance, family, up, name or chain.name, dtype)
+        arm = _nearest(given, leaves, axis_tolerance, family, up, name or chain.name, dtype)
+        return dataclasses.replace(arm, joint_names=chain.motors)
 
     @property
     def n(self) -> int:
@@ -258,7 +266,7 @@ class Arm:
         Known are the twists, the correction and whatever is 0, 1 or -1: arms that agree in those share a
         compile. With `whole` everything is known but traced leaves. The name is in neither part.
         """
-        arm = dataclasses.replace(self, name="").baked()
+        arm = dataclasses.replace(self, name="", joint_names=None).baked()
         leaves, treedef = jax.tree.flatten(arm)
         known: list[tuple] = []
         rest: list[Number] = []

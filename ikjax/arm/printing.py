@@ -36,7 +36,10 @@ def paste(arm) -> str:
     text = functools.partial(_number, dtype=arm.dtype)
     columns = {k: leaves[k] for k in ("a", "alpha", "d", "theta")}
     width = [max(len(text(c[i])) for c in columns.values()) for i in range(arm.n)]
-    lines = ["from ikjax import Arm", "from numpy import array, inf, pi", "", "arm = Arm.from_dh("]
+    lines = ["from ikjax import Arm", "from numpy import array, inf, pi", ""]
+    if arm.joint_names is not None:
+        lines.append(f"# Joints: {', '.join(arm.joint_names)}")
+    lines.append("arm = Arm.from_dh(")
     lines += [_column(name, map(text, values), width) for name, values in columns.items()]
     lines.append(f'    kinds = "{arm.kinds}", convention = "standard", name = {arm.name!r},')
     if np.isfinite(leaves["limits"]).any():

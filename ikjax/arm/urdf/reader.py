@@ -55,6 +55,11 @@ class UrdfChain(NamedTuple):
     tool: np.ndarray
     """(4, 4) the tip link in the child link of the last moving joint."""
 
+    @property
+    def motors(self) -> tuple[str, ...]:
+        """Names of the joints that mimic no other, from base to tip."""
+        return tuple(joint.name for joint in self.joints if joint.leader == joint.name)
+
 
 def read_chain(
     source: str | bytes | os.PathLike, base: str | None = None, tip: str | None = None
@@ -121,7 +126,7 @@ def axes_of(chain: UrdfChain) -> tuple[Axes, np.ndarray | None, list[tuple[float
         points.append(frame[:3, 3])
     kinds = "".join(joint.kind for joint in chain.joints)
     given = Axes(kinds, np.array(along), np.array(points), frame @ chain.tool)
-    motors = [joint.name for joint in chain.joints if joint.leader == joint.name]
+    motors = chain.motors
     limits = [_together(chain, motor) for motor in motors]
     if len(motors) == len(kinds):
         return given, None, limits
