@@ -1,6 +1,7 @@
-"""Small arms with five turning joints, as their makers' files place them.
+"""Small arms with five revolute joints, as their makers' files place them.
 
-Each joint is given as in a URDF: its frame in that of the joint before [m], [rad], and its axis there.
+Each joint is given as in a URDF: its frame in that of the joint before, xyz [m] and rpy [rad], and its axis
+there.
 """
 
 import numpy as np
