@@ -1,5 +1,4 @@
-"""The list of robots. A function with the decorator `robot` adds itself: its name, itself, its named
-poses."""
+"""The list of robots: a function under the decorator `robot` enters itself, with its named poses."""
 
 from collections.abc import Callable
 from typing import NamedTuple, TypeVar
