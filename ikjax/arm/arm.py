@@ -147,7 +147,7 @@ class Arm:
         n = dh.count_joints(a=a, alpha=alpha, d=d)
         kinds = dh.check_kinds(kinds, n)
         columns = {"a": a, "alpha": alpha, "d": d, "theta": np.zeros(n) if theta is None else theta}
-        columns = {name: dh.row(name, column, n) for name, column in columns.items()}
+        columns = {key: dh.column(key, column, n) for key, column in columns.items()}
         T_world_base = dh.check_pose("base", np.eye(4) if base is None else base)
         T_flange_tool = dh.check_pose("tool", np.eye(4) if tool is None else tool)
         limits, coupling = dh.check_limits(limits, kinds), dh.check_coupling(coupling, n)
