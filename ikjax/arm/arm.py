@@ -64,16 +64,17 @@ class Arm:
     joint_names: tuple[str, ...] | None = dataclasses.field(
         default=None, kw_only=True, metadata={"static": True}
     )
-    """The names of the joints in the file that the arm was read from, one for each entry of `q`: of joints
-    that are driven together, the one that leads. None for an arm whose joints have no names."""
+    """Names of the joints in the arm's file, one for each entry of `q`; None where there are none.
+
+    Of joints that are driven together it is the name of the one that leads.
+    """
 
     kinds: str = dataclasses.field(metadata={"static": True})
     """The joints from base to tool, "R" (revolute) or "P" (prismatic) each."""
     name: str = dataclasses.field(metadata={"static": True})
     """For people: it is in no compiled program."""
     family: str | None = dataclasses.field(metadata={"static": True})
-    """The closed form that solves this arm, or None; a promise about the twists, which a new `alpha`
-    keeps."""
+    """The closed form that solves this arm, or None; a promise about the twists that a new `alpha` keeps."""
     signs: tuple = dataclasses.field(metadata={"static": True})
     """What the family's kernel must know about the twists: signs of their sines and cosines."""
     branches: tuple[str, ...] = dataclasses.field(metadata={"static": True})

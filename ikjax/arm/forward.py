@@ -276,8 +276,9 @@ def frames(arm: Arm, q: ArrayInput) -> jax.Array:
 
 
 def reach(arm: Arm) -> Scalar:
-    """Sum of the lengths in the table and the tool [m]: no tool point is further from the base by turns
-    alone.
+    """Sum of the lengths in the table and the tool [m].
+
+    While all slides are at zero, no tool point is further from the base.
 
     It is also the unit of length of kernels and tolerances. An arm without lengths (a wrist alone, a gantry)
     has 1 m: there is nothing else to compare with.

@@ -58,32 +58,32 @@ def spin(rotation: Matrix, rate: Matrix) -> Vector:
     return vector.scale(0.5, vector.add(vector.add(products[0], products[1]), products[2]))
 
 
-def of_joints(arm: Arm, found: Chain, tip: Vector) -> list[Twist]:
+def of_joints(arm: Arm, chain: Chain, tip: Vector) -> list[Twist]:
     """Twists of the tool for a unit rate of each joint, without the coupling.
 
     Source: Spong, Robot Modeling and Control, equations (4.56)-(4.57).
     """
     twists = []
-    for kind, frame in zip(arm.kinds, found.before, strict=True):
+    for kind, frame in zip(arm.kinds, chain.before, strict=True):
         axis = _axis(frame, 2)
         twists.append(sliding(axis) if kind == "P" else turning(axis, frame.position, tip))
     return twists
 
 
-def of_motors(arm: Arm, found: Chain, tip: Vector) -> list[Twist]:
+def of_motors(arm: Arm, chain: Chain, tip: Vector) -> list[Twist]:
     """Twists of the tool for a unit rate of each entry of q: the columns of the Jacobian."""
-    twists = of_joints(arm, found, tip)
+    twists = of_joints(arm, chain, tip)
     if arm.coupling is None:
         return twists
     return [_sum(twists, numbers(arm.coupling[:, i])) for i in range(arm.n)]
 
 
-def asked(arm: Arm, found: Chain, per_length: Scalar) -> Callable[[Twist], tuple[Scalar, ...]]:
+def asked(arm: Arm, chain: Chain, per_length: Scalar) -> Callable[[Twist], tuple[Scalar, ...]]:
     """A function from a twist to the rows that the task controls, the linear ones first.
 
     Args:
         arm: Its task decides which rows.
-        found: The arm's frames; a planar task needs the plane.
+        chain: The arm's frames; a planar task needs the plane.
         per_length: What the linear rows are multiplied by [1/m], so that all rows have one unit.
     """
 
@@ -93,23 +93,23 @@ def asked(arm: Arm, found: Chain, per_length: Scalar) -> Callable[[Twist], tuple
             return (*linear, *angular)
         if arm.task == "position":
             return linear
-        x, y, normal = plane(arm, found)
+        x, y, normal = plane(arm, chain)
         within = vector.dot(x, linear), vector.dot(y, linear)
         return within if arm.task == "planar_position" else (*within, vector.dot(normal, angular))
 
     return rows
 
 
-def plane(arm: Arm, found: Chain) -> tuple[Vector, Vector, Vector]:
+def plane(arm: Arm, chain: Chain) -> tuple[Vector, Vector, Vector]:
     """Two perpendicular unit vectors in the plane that a planar arm moves in, and its normal."""
-    axes = [_axis(frame, 2) for frame in found.before]
-    x = _axis(found.before[0], 0) if arm.kinds[0] == "R" else axes[0]
+    axes = [_axis(frame, 2) for frame in chain.before]
+    x = _axis(chain.before[0], 0) if arm.kinds[0] == "R" else axes[0]
     normal = axes[arm.kinds.index("R")] if "R" in arm.kinds else vector.cross(axes[0], axes[1])
     normal = vector.scale(safe.reciprocal_sqrt(vector.dot(normal, normal)), normal)
     return x, vector.cross(normal, x), normal
 
 
-def of_numbers(arm: Arm, rates: Arm, q: tuple[Scalar, ...], found: Chain, tip: Vector) -> Twist:
+def of_numbers(arm: Arm, rates: Arm, q: tuple[Scalar, ...], chain: Chain, tip: Vector) -> Twist:
     """The twist of the tool at fixed q, while the arm's own parameters change at given rates.
 
     Args:
@@ -117,23 +117,23 @@ def of_numbers(arm: Arm, rates: Arm, q: tuple[Scalar, ...], found: Chain, tip: V
         rates: The derivative of each leaf. Those of `base` and `tool` are read as velocities of a rigid body,
             whatever else their entries hold.
         q: Joint values; of coupled joints, motor values.
-        found: The arm's frames there.
+        chain: The arm's frames there.
         tip: The tool point.
     """
     total = _mounted(fixed_pose(arm.base), fixed_pose(rates.base), None, tip)
-    total = total.plus(_mounted(fixed_pose(arm.tool), fixed_pose(rates.tool), found.last, tip))
+    total = total.plus(_mounted(fixed_pose(arm.tool), fixed_pose(rates.tool), chain.last, tip))
     table = zip(*map(numbers, (rates.d, rates.a, rates.theta, rates.alpha)), strict=True)
-    for before, end, (d, a, theta, alpha) in zip(found.before, found.ends, table, strict=True):
+    for before, end, (d, a, theta, alpha) in zip(chain.before, chain.ends, table, strict=True):
         z, x = _axis(before, 2), _axis(end, 0)
         total = total.plus(sliding(z).times(d)).plus(sliding(x).times(a))
         total = total.plus(turning(z, before.position, tip).times(theta))
         total = total.plus(turning(x, end.position, tip).times(alpha))
     if arm.coupling is not None and rates.coupling is not None:
         moves = [functools.reduce(plus, map(times, numbers(rates.coupling[i]), q)) for i in range(arm.n)]
-        total = total.plus(_sum(of_joints(arm, found, tip), moves))
+        total = total.plus(_sum(of_joints(arm, chain, tip), moves))
     if arm.correction is not None and rates.correction is not None:
-        uncorrected = [fixed_pose(arm.base), *found.ends]
-        corrected = [*found.before, found.last]
+        uncorrected = [fixed_pose(arm.base), *chain.ends]
+        corrected = [*chain.before, chain.last]
         for i, (start, end) in enumerate(zip(uncorrected, corrected, strict=True)):
             row, rate = numbers(arm.correction[i]), numbers(rates.correction[i])
             shift = vector.rotate(start.rotation, rate[:3])

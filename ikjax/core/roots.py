@@ -201,10 +201,10 @@ Line = tuple[Scalar, Scalar, Scalar]
 
 
 def _line_pair(p: Scalar, q: Scalar, k: Scalar, n: Scalar, complement: Scalar) -> tuple[Line, Line]:
-    """The two lines of the degenerate member: its equation is (near cos(s) + first)^2 = (far sin(s) -
-    second)^2.
+    """The two lines of the degenerate member of the pencil.
 
-    near^2 = n, far^2 = 2 - n, and first^2 - second^2 = gap.
+    Its equation is (near cos(s) + first)^2 = (far sin(s) - second)^2 with near^2 = n, far^2 = 2 - n, and
+    first^2 - second^2 = gap.
     """
     near, far, gap = agreed(safe.sqrt(n)), agreed(safe.sqrt(complement)), k + 1 - n
     # Where the lines are parallel to an axis, its own quotient is 0 / 0: the other one and the gap decide.

@@ -125,8 +125,7 @@ def _turned(columns: Sequence[Column], rows: int) -> list[Column]:
 
 
 def _apart(first: Column, second: Column, rows: int) -> tuple[Column, Column]:
-    """Two columns rotated within their plane until they are perpendicular, by the smaller of the two
-    angles."""
+    """Two columns rotated in their plane until they are perpendicular, by the smaller of the two angles."""
     more = dot(second[:rows], second[:rows]) - dot(first[:rows], first[:rows])
     twice = 2 * dot(first[:rows], second[:rows])
     tangent = safe.divide(safe.sign(more) * twice, jnp.abs(more) + safe.sqrt(more * more + twice * twice))

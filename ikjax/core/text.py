@@ -14,8 +14,7 @@ _MARKS = re.compile(r"[!-+.:-@\[-`{-~-]")
 
 
 def printable(text: object) -> str:
-    """Lines for a terminal: control characters, and those that change the direction of writing, are spelt
-    out."""
+    """Lines for a terminal; characters that control it or change the direction of writing are spelt out."""
     text = str(text)
     if text.isprintable():
         return text
@@ -42,7 +41,7 @@ def markdown(text: object) -> str:
     # Viewers turn addresses into links after they have resolved character references. A word joiner, which
     # has no width, keeps an address from being recognized.
     apart = _ADDRESS.sub("\N{WORD JOINER}", line(text))
-    return _MARKS.sub(lambda found: f"&#{ord(found[0])};", apart)
+    return _MARKS.sub(lambda mark: f"&#{ord(mark[0])};", apart)
 
 
 def picture(text: object) -> str:

@@ -110,8 +110,7 @@ _COS = {
 
 
 def _in_parts(value: str, widths: tuple[int, ...]) -> tuple[float, ...]:
-    """A long decimal as a sum of floats of so many bits each: their products with small integers are
-    exact."""
+    """A long decimal as a sum of floats of so many bits each, so that products with integers are exact."""
     rest, parts = Fraction(value), []
     for bits in widths:
         step = Fraction(2) ** (math.floor(math.log2(abs(float(rest)))) + 1 - bits)

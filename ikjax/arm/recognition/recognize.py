@@ -90,8 +90,7 @@ def evidence(kinds: str, numbers: dict, family: str, tolerance: float) -> tuple[
 
 
 def judged(kinds: str, numbers: dict, family: str, tolerance: float) -> Judgement:
-    """What the rule of a family says of a table, whether its facts hold or not; arguments as in
-    `recognize`."""
+    """What the rule of a family says of a table, also if it does not fit; arguments as in `recognize`."""
     return RULES[family].judge(_table(kinds, numbers, 1, tolerance))
 
 
