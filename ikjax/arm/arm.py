@@ -409,10 +409,10 @@ def _warn_of_rounded_twists(arm: Arm, leaves: dict, up: int) -> None:
         return  # `solve` refuses it, and says the same
     rank = list(RULES).index
     for each in AXIS_LADDER[:1]:
-        near = recognize.recognize(arm.kinds, leaves, None, up, each).family
-        if near is not None and rank(near) < rank(arm.family):
+        faster = recognize.recognize(arm.kinds, leaves, None, up, each).family
+        if faster is not None and rank(faster) < rank(arm.family):
             warn(
-                f"{arm.name} is taken as {arm.family}; but for rounded numbers it is {near}, which is "
+                f"{arm.name} is taken as {arm.family}; but for rounded numbers it is {faster}, which is "
                 f"faster: build it with axis_tolerance={each:g}"
             )
 

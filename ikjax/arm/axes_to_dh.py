@@ -121,7 +121,7 @@ def _link(frame: np.ndarray, axes: Axes, i: int, tolerance: float, size: float):
 
     Source: Spong, Robot Modeling and Control, section 3.2.2.
     """
-    along, near = axes.along[i + 1], tolerance * size
+    along, least = axes.along[i + 1], tolerance * size
     origin, z = frame[:3, 3], frame[:3, 2]
     point = axes.points[i + 1] if axes.kinds[i + 1] == "R" else origin
     cross = np.cross(z, along)
@@ -133,8 +133,8 @@ def _link(frame: np.ndarray, axes: Axes, i: int, tolerance: float, size: float):
         gap = gap - (gap @ along) * along
         normal = gap - (gap @ z) * z
         a, d = float(np.linalg.norm(normal)), 0.0
-        x = normal / a if a > near else frame[:3, 0]
-        a = a if a > near else 0.0
+        x = normal / a if a > least else frame[:3, 0]
+        a = a if a > least else 0.0
         alpha = 0.0 if cosine > 0 else np.pi
     else:
         x = cross / sine
@@ -145,8 +145,8 @@ def _link(frame: np.ndarray, axes: Axes, i: int, tolerance: float, size: float):
         alpha = float(np.arctan2(np.cross(z, along) @ x, cosine))
         if abs(cosine) <= tolerance:
             alpha = np.copysign(np.pi / 2, alpha)
-        a = a if a > near else 0.0
-        d = d if abs(d) > near else 0.0
+        a = a if a > least else 0.0
+        d = d if abs(d) > least else 0.0
     theta = float(np.arctan2(x @ frame[:3, 1], x @ frame[:3, 0]))
     if a == 0 and abs(theta) > np.pi / 2:
         # The normal of meeting axes may point either way; the smaller theta is easier to read.

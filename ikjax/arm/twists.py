@@ -193,9 +193,9 @@ def jacobian(arm: Arm, q: ArrayInput) -> jax.Array:
     before = frames(arm, q)[..., :-1, :, :]
     axis, origin = before[..., :3, 2], before[..., :3, 3]
     tip = fk(arm, q)[..., None, :3, 3]
-    turning = jnp.concatenate([jnp.cross(axis, tip - origin), axis], axis=-1)
-    sliding = jnp.concatenate([axis, jnp.zeros_like(axis)], axis=-1)
-    revolute = jnp.asarray([[kind == "R"] for kind in arm.kinds])
-    columns = jnp.where(jnp.broadcast_to(revolute, turning.shape), turning, sliding)
+    revolute = jnp.concatenate([jnp.cross(axis, tip - origin), axis], axis=-1)
+    prismatic = jnp.concatenate([axis, jnp.zeros_like(axis)], axis=-1)
+    is_revolute = jnp.asarray([[kind == "R"] for kind in arm.kinds])
+    columns = jnp.where(jnp.broadcast_to(is_revolute, revolute.shape), revolute, prismatic)
     columns = jnp.swapaxes(columns, -1, -2)
     return columns if arm.coupling is None else jnp.matmul(columns, jnp.asarray(arm.coupling))
