@@ -37,20 +37,20 @@ class Twist(NamedTuple):
         return Twist(vector.scale(factor, self.linear), vector.scale(factor, self.angular))
 
 
-STILL = Twist((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+ZERO = Twist((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
-def turning(axis: Vector, point: Vector, tip: Vector) -> Twist:
+def revolute_twist(axis: Vector, point: Vector, tip: Vector) -> Twist:
     """The twist of a unit rotation about an axis through a point."""
     return Twist(vector.cross(axis, vector.subtract(tip, point)), axis)
 
 
-def sliding(axis: Vector) -> Twist:
+def prismatic_twist(axis: Vector) -> Twist:
     """The twist of a unit translation along an axis."""
     return Twist(axis, (0.0, 0.0, 0.0))
 
 
-def spin(rotation: Matrix, rate: Matrix) -> Vector:
+def angular_velocity(rotation: Matrix, rate: Matrix) -> Vector:
     """Angular velocity from the derivatives of a rotation's entries."""
     # A column c moves by w x c, and the sum of c x (w x c) over three orthonormal columns is 2 w.
     pairs = zip(vector.transpose(rotation), vector.transpose(rate), strict=True)
@@ -58,7 +58,7 @@ def spin(rotation: Matrix, rate: Matrix) -> Vector:
     return vector.scale(0.5, vector.add(vector.add(products[0], products[1]), products[2]))
 
 
-def of_joints(arm: Arm, chain: Chain, tip: Vector) -> list[Twist]:
+def joint_twists(arm: Arm, chain: Chain, tip: Vector) -> list[Twist]:
     """Twists of the tool for a unit rate of each joint, without the coupling.
 
     Source: Spong, Robot Modeling and Control, equations (4.56)-(4.57).
@@ -66,19 +66,19 @@ def of_joints(arm: Arm, chain: Chain, tip: Vector) -> list[Twist]:
     twists = []
     for kind, frame in zip(arm.kinds, chain.before, strict=True):
         axis = _axis(frame, 2)
-        twists.append(sliding(axis) if kind == "P" else turning(axis, frame.position, tip))
+        twists.append(prismatic_twist(axis) if kind == "P" else revolute_twist(axis, frame.position, tip))
     return twists
 
 
-def of_motors(arm: Arm, chain: Chain, tip: Vector) -> list[Twist]:
+def motor_twists(arm: Arm, chain: Chain, tip: Vector) -> list[Twist]:
     """Twists of the tool for a unit rate of each entry of q: the columns of the Jacobian."""
-    twists = of_joints(arm, chain, tip)
+    twists = joint_twists(arm, chain, tip)
     if arm.coupling is None:
         return twists
     return [_sum(twists, numbers(arm.coupling[:, i])) for i in range(arm.n)]
 
 
-def asked(arm: Arm, chain: Chain, per_length: Scalar) -> Callable[[Twist], tuple[Scalar, ...]]:
+def task_rows(arm: Arm, chain: Chain, per_length: Scalar) -> Callable[[Twist], tuple[Scalar, ...]]:
     """A function from a twist to the rows that the task controls, the linear ones first.
 
     Args:
@@ -93,14 +93,14 @@ def asked(arm: Arm, chain: Chain, per_length: Scalar) -> Callable[[Twist], tuple
             return (*linear, *angular)
         if arm.task == "position":
             return linear
-        x, y, normal = plane(arm, chain)
+        x, y, normal = task_plane(arm, chain)
         within = vector.dot(x, linear), vector.dot(y, linear)
         return within if arm.task == "planar_position" else (*within, vector.dot(normal, angular))
 
     return rows
 
 
-def plane(arm: Arm, chain: Chain) -> tuple[Vector, Vector, Vector]:
+def task_plane(arm: Arm, chain: Chain) -> tuple[Vector, Vector, Vector]:
     """Two perpendicular unit vectors in the plane that a planar arm moves in, and its normal."""
     axes = [_axis(frame, 2) for frame in chain.before]
     x = _axis(chain.before[0], 0) if arm.kinds[0] == "R" else axes[0]
@@ -109,7 +109,7 @@ def plane(arm: Arm, chain: Chain) -> tuple[Vector, Vector, Vector]:
     return x, vector.cross(normal, x), normal
 
 
-def of_numbers(arm: Arm, rates: Arm, q: tuple[Scalar, ...], chain: Chain, tip: Vector) -> Twist:
+def parameter_twist(arm: Arm, rates: Arm, q: tuple[Scalar, ...], chain: Chain, tip: Vector) -> Twist:
     """The twist of the tool at fixed q, while the arm's own parameters change at given rates.
 
     Args:
@@ -125,12 +125,12 @@ def of_numbers(arm: Arm, rates: Arm, q: tuple[Scalar, ...], chain: Chain, tip: V
     table = zip(*map(numbers, (rates.d, rates.a, rates.theta, rates.alpha)), strict=True)
     for before, end, (d, a, theta, alpha) in zip(chain.before, chain.ends, table, strict=True):
         z, x = _axis(before, 2), _axis(end, 0)
-        total = total.plus(sliding(z).times(d)).plus(sliding(x).times(a))
-        total = total.plus(turning(z, before.position, tip).times(theta))
-        total = total.plus(turning(x, end.position, tip).times(alpha))
+        total = total.plus(prismatic_twist(z).times(d)).plus(prismatic_twist(x).times(a))
+        total = total.plus(revolute_twist(z, before.position, tip).times(theta))
+        total = total.plus(revolute_twist(x, end.position, tip).times(alpha))
     if arm.coupling is not None and rates.coupling is not None:
         moves = [functools.reduce(plus, map(times, numbers(rates.coupling[i]), q)) for i in range(arm.n)]
-        total = total.plus(_sum(of_joints(arm, chain, tip), moves))
+        total = total.plus(_sum(joint_twists(arm, chain, tip), moves))
     if arm.correction is not None and rates.correction is not None:
         uncorrected = [fixed_pose(arm.base), *chain.ends]
         corrected = [*chain.before, chain.last]
@@ -138,17 +138,17 @@ def of_numbers(arm: Arm, rates: Arm, q: tuple[Scalar, ...], chain: Chain, tip: V
             row, rate = numbers(arm.correction[i]), numbers(rates.correction[i])
             shift = vector.rotate(start.rotation, rate[:3])
             turn = vector.rotate(start.rotation, _rate_of_turn(row[3:], rate[3:]))
-            total = total.plus(sliding(shift)).plus(turning(turn, end.position, tip))
+            total = total.plus(prismatic_twist(shift)).plus(revolute_twist(turn, end.position, tip))
     return total
 
 
 def _mounted(fixed: Pose, rate: Pose, on: Pose | None, tip: Vector) -> Twist:
     """The twist of the tool while a pose of the arm changes that is fixed to a frame, or to the world."""
-    shift, turn, origin = rate.position, spin(fixed.rotation, rate.rotation), fixed.position
+    shift, turn, origin = rate.position, angular_velocity(fixed.rotation, rate.rotation), fixed.position
     if on is not None:
         shift, turn = vector.rotate(on.rotation, shift), vector.rotate(on.rotation, turn)
         origin = vector.add(on.position, vector.rotate(on.rotation, origin))
-    return sliding(shift).plus(turning(turn, origin, tip))
+    return prismatic_twist(shift).plus(revolute_twist(turn, origin, tip))
 
 
 def _rate_of_turn(r: Vector, rate: Vector) -> Vector:
@@ -171,7 +171,7 @@ def _axis(frame: Pose, which: int) -> Vector:
 def _sum(twists: list[Twist], shares) -> Twist:
     """The sum of the twists, each times its share."""
     pairs = zip(twists, shares, strict=True)
-    return functools.reduce(Twist.plus, (twist.times(share) for twist, share in pairs), STILL)
+    return functools.reduce(Twist.plus, (twist.times(share) for twist, share in pairs), ZERO)
 
 
 def jacobian(arm: Arm, q: ArrayInput) -> jax.Array:

@@ -19,8 +19,7 @@ Row = list[Scalar]
 
 
 def dot(u: Sequence[Scalar], v: Sequence[Scalar]) -> Scalar:
-    """The inner product of two sequences of any one length; products with a known zero or one are left
-    out."""
+    """The inner product of two sequences of one length; products with a known 0, 1 or -1 are left out."""
     return functools.reduce(plus, map(times, u, v))
 
 

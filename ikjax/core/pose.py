@@ -155,7 +155,7 @@ def to_quaternion(m: Matrix) -> tuple[Scalar, ...]:
     return tuple(per * c for c in best)
 
 
-class Turn(NamedTuple):
+class RotationVector(NamedTuple):
     """A rotation vector r, and the coefficients of the inverse left Jacobian of the rotation group.
 
     The inverse is shrink I - [r]x / 2 + bend r r^T.
@@ -175,7 +175,7 @@ class Turn(NamedTuple):
         return vector.add(vector.scale(self.shrink, spin), vector.add(along, across))
 
 
-def turn_of(m: Matrix) -> Turn:
+def rotation_vector(m: Matrix) -> RotationVector:
     """The rotation vector of a matrix, accurate to rounding at every angle.
 
     Near zero its derivatives are the limits there.
@@ -194,7 +194,7 @@ def turn_of(m: Matrix) -> Turn:
     factor = pin(jnp.where(small, 2 + square / 3, 2 * half / size))
     shrink = pin(jnp.where(small, 1 - square / 3, half * w / size))
     bend = pin(jnp.where(small, 1 / 12, (1 - shrink) / (4 * half * half)))
-    return Turn(tuple(pin(factor * c) for c in rest), shrink, bend)
+    return RotationVector(tuple(pin(factor * c) for c in rest), shrink, bend)
 
 
 def from_rotation_vector(v: Vector) -> Matrix:

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ikjax.core import safe
-from ikjax.core.trig import Scalar, SinCos, nudged
+from ikjax.core.trig import Scalar, SinCos, add_small_angle
 from ikjax.core.xla import agreed, agreed_root
 
 
@@ -248,7 +248,7 @@ def _polished(polynomial: Harmonics, sine: Scalar, cosine: Scalar, real: jax.Arr
     value, derivative = harmonics_at(polynomial, sine, cosine)
     step = -safe.divide(value, derivative)
     step = jnp.where(real & (abs(step) < jnp.finfo(step.dtype).eps ** 0.25), step, 0)
-    return nudged(sine, cosine, step)
+    return add_small_angle(sine, cosine, step)
 
 
 def _in_order(first: CircleRoot, second: CircleRoot) -> tuple[CircleRoot, CircleRoot]:

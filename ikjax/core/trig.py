@@ -271,7 +271,7 @@ def angle(sine: Scalar, cosine: Scalar) -> Angle:
     return Angle(sine, cosine, atan2(sine, cosine))
 
 
-def nudged(sine: Scalar, cosine: Scalar, step: Scalar) -> SinCos:
+def add_small_angle(sine: Scalar, cosine: Scalar, step: Scalar) -> SinCos:
     """Sine and cosine of an angle plus a small step; their squares add up to one but for step^4 / 4."""
     cos_step = 1 - step * step / 2
     return sine * cos_step + cosine * step, cosine * cos_step - sine * step

@@ -78,7 +78,10 @@ def what_was_found(arm: Arm) -> str:
     if is_traced(arm):
         return "Families: " + ", ".join(recognize.RULES)
     numbers, tolerance = _numbers(arm), recognize.tolerance_of(arm.dtype)
-    lines = [f"Found: joints {arm.kinds}; {recognize.found(arm.kinds, numbers, tolerance)}.", "Families:"]
+    lines = [
+        f"Found: joints {arm.kinds}; {recognize.describe_axes(arm.kinds, numbers, tolerance)}.",
+        "Families:",
+    ]
     for name, rule in recognize.RULES.items():
         lines.append(f"  {name}: {rule.summary}.")
         if not re.fullmatch(rule.kinds, arm.kinds):

@@ -153,7 +153,7 @@ def describe(checks: tuple[Check, ...]) -> str:
     return "; ".join(f"{c.fact}: {c.deviation:.3g}, wanted {c.wanted}" for c in failed)
 
 
-def found(kinds: str, numbers: dict, tolerance: float = FACT) -> str:
+def describe_axes(kinds: str, numbers: dict, tolerance: float = FACT) -> str:
     """Which neighboring axes are parallel, perpendicular or meeting, in words."""
     alpha, a = np.asarray(numbers["alpha"], float), np.asarray(numbers["a"], float)
     size = max(float(np.abs(a).sum() + np.abs(np.asarray(numbers["d"], float)).sum()), 1e-300)
