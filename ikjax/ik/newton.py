@@ -25,7 +25,7 @@ import jax.numpy as jnp
 
 from ikjax.arm.arm import Arm, numbers
 from ikjax.arm.forward import Chain, chain, fixed_pose, reach, whole_turns
-from ikjax.arm.twists import Twist, of_joints, plane
+from ikjax.arm.twists import Twist, joint_twists, task_plane
 from ikjax.core import pose as poses
 from ikjax.core import safe, vector
 from ikjax.core.linear import dot, solve_symmetric
@@ -98,7 +98,7 @@ def standing(arm: Arm, wish: Wish, q: Joints) -> Standing:
     turn = _turn(wish, tool)
     twists = [
         Twist(tuple(pin(times(per, x)) for x in twist.linear), twist.angular)
-        for twist in of_joints(arm, found, tool.position)
+        for twist in joint_twists(arm, found, tool.position)
     ]
     pulled = tuple(pin(times(wish.point, x)) for x in gap)
     drawn = tuple(pin(times(worth, x)) for x in turn.vector)
@@ -153,14 +153,14 @@ def _gap(arm: Arm, found: Chain, wish: Wish, tool: Pose, per: Scalar) -> vector.
     gap = vector.scale(per, vector.subtract(tool.position, wish.goal.position))
     if not arm.task.startswith("planar"):
         return gap
-    up = plane(arm, found)[2]
+    up = task_plane(arm, found)[2]
     return vector.subtract(gap, vector.scale(vector.dot(up, gap), up))
 
 
-def _turn(wish: Wish, tool: Pose) -> poses.Turn:
+def _turn(wish: Wish, tool: Pose) -> poses.RotationVector:
     """The turn from the goal to the tool, in the world."""
     left = vector.matmul(tool.rotation, vector.transpose(wish.goal.rotation))
-    return poses.turn_of(jax.tree.map(pin, left))
+    return poses.rotation_vector(jax.tree.map(pin, left))
 
 
 def _of_motors(arm: Arm, slope: list, curve: list[list]) -> tuple[list, list[list]]:

@@ -121,9 +121,9 @@ def _columns(arm: Arm, q: jax.Array, characteristic_length) -> list[tuple[jax.Ar
         found = chain(arm, tuple(q[..., i] for i in range(arm.n)))
     tip = poses.compose(found.last, fixed_pose(arm.tool)).position
     characteristic_length = reach(arm) if characteristic_length is None else characteristic_length
-    rows = twists.asked(arm, found, safe.divide(1, characteristic_length))
+    rows = twists.task_rows(arm, found, safe.divide(1, characteristic_length))
     units = [characteristic_length if kind == "P" else 1.0 for kind in arm.kinds]
-    motions = zip(units, twists.of_motors(arm, found, tip), strict=True)
+    motions = zip(units, twists.motor_twists(arm, found, tip), strict=True)
     columns = [tuple(x * one for x in rows(motion.times(unit))) for unit, motion in motions]
     few = len(columns) <= len(columns[0])
     return columns if few else list(zip(*columns, strict=True))

@@ -78,7 +78,10 @@ def what_was_found(arm: Arm) -> str:
     if is_traced(arm):
         return "Families: " + ", ".join(recognize.RULES)
     numbers, tolerance = _numbers(arm), recognize.tolerance_of(arm.dtype)
-    lines = [f"Found: joints {arm.kinds}; {recognize.found(arm.kinds, numbers, tolerance)}.", "Families:"]
+    lines = [
+        f"Found: joints {arm.kinds}; {recognize.describe_axes(arm.kinds, numbers, tolerance)}.",
+        "Families:",
+    ]
     for name, rule in recognize.RULES.items():
         lines.append(f"  {name}: {rule.summary}.")
         if not re.fullmatch(rule.kinds, arm.kinds):
@@ -97,7 +100,7 @@ def _numbers(arm: Arm) -> dict[str, np.ndarray]:
 def _axes(arm: Arm) -> Axes:
     """Of the arm as given, its base left out."""
     numbers = _numbers(arm)
-    frames = dh.frames(arm.kinds, numbers)
+    frames = dh.frames(numbers)
     links = np.linalg.inv(frames[:-1]) @ frames[1:]
     off = np.zeros((arm.n + 1, 6)) if arm.correction is None else np.asarray(arm.correction, float)
     after = list(map(small_pose, off))

@@ -134,21 +134,21 @@ def _motion(arm: Arm, arm_rates: Arm | None, goal_rates, q, valid, damping):
     with pinning(divide):
         found = chain(arm, joints)
     reached = poses.compose(found.last, fixed_pose(arm.tool))
-    twist = twists.STILL
+    twist = twists.ZERO
     if goal_rates is not None:
         wished = tuple(tuple(x[None] for x in row) for row in entries_of(goal_rates)[:3])
         # The goal's own rotation is not looked at: where nothing is valid it may hold anything.
-        turn = twists.spin(reached.rotation, tuple(row[:3] for row in wished))
+        turn = twists.angular_velocity(reached.rotation, tuple(row[:3] for row in wished))
         twist = twists.Twist(tuple(row[3] for row in wished), turn)
     if arm_rates is not None:
-        own = twists.of_numbers(arm, arm_rates, joints, found, reached.position)
+        own = twists.parameter_twist(arm, arm_rates, joints, found, reached.position)
         twist = twist.plus(own.times(-1.0))
     size = reach(arm)
-    rows = twists.asked(arm, found, 1 / size)
+    rows = twists.task_rows(arm, found, 1 / size)
     wanted = [divide(x) for x in rows(twist)]
     # A slide counts in reaches too.
     units = [size if kind == "P" else 1.0 for kind in arm.kinds]
-    motions = zip(units, twists.of_motors(arm, found, reached.position), strict=True)
+    motions = zip(units, twists.motor_twists(arm, found, reached.position), strict=True)
     columns = [[divide(x) for x in rows(motion.times(unit))] for unit, motion in motions]
     matrix = [[divide(dot(u, v)) for v in columns] for u in columns]
     for i in range(arm.n):

@@ -9,7 +9,7 @@ from ikjax.arm.forward import Joint, Link, known_sincos, unwind
 from ikjax.core import safe
 from ikjax.core.pose import Pose
 from ikjax.core.tolerances import TINY
-from ikjax.core.trig import Angle, Scalar, angle, nudged
+from ikjax.core.trig import Angle, Scalar, add_small_angle, angle
 from ikjax.core.vector import Vector, plus
 from ikjax.core.xla import pin
 
@@ -35,7 +35,7 @@ def moved_on(joint: Angle | Slide, step: Scalar) -> Angle | Slide:
     """The joint after a small step, without its angle's value."""
     if isinstance(joint, Slide):
         return Slide(joint.value + step)
-    return Angle(*nudged(joint.sin, joint.cos, step), ())
+    return Angle(*add_small_angle(joint.sin, joint.cos, step), ())
 
 
 class Setting(NamedTuple):

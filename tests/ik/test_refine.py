@@ -49,7 +49,7 @@ def test_the_turn_of_a_rotation_is_right_at_every_angle(angle):
     axes = np.concatenate([np.eye(3), -np.eye(3), np.random.default_rng(0).normal(size=(20, 3))])
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     rows = Rotation.from_rotvec(angle * axes).as_matrix()
-    turn = poses.turn_of(tuple(tuple(jnp.asarray(rows[:, i, j]) for j in range(3)) for i in range(3)))
+    turn = poses.rotation_vector(tuple(tuple(jnp.asarray(rows[:, i, j]) for j in range(3)) for i in range(3)))
     found = np.stack(turn.vector, -1)
     # At pi the axis may point either way.
     sign = np.sign(np.sum(found * axes, -1, keepdims=True)) if angle > 3.1 else 1

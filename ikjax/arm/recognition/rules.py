@@ -123,8 +123,11 @@ def _split(t: Table) -> str:
 
 
 def nearly_split(t: Table, family: str) -> tuple[str, int, float] | None:
-    """The number of the table that keeps an equation from splitting by next to nothing: its column, its
-    place, and the value at which it does split."""
+    """The number of the table that alone keeps an equation from splitting, by very little.
+
+    Returns:
+        Its column, its row counted from 0, and the value at which the equation splits; or None.
+    """
     if family not in ("pieper", "pieper_reversed", "position"):
         return None
     place = 4 if family == "pieper_reversed" else 0
@@ -150,7 +153,7 @@ def _regional_bits(kinds: str, how: str) -> list[tuple[str, str]]:
 
 
 def _along(t: Table, which: list[int]) -> tuple[int, ...]:
-    """Signs of axes, counted from 0, against the first of them."""
+    """Signs of axes, counted from 0, relative to the first of them."""
     along, _ = t.axes()
     return tuple(_sign(float(along[i] @ along[which[0]])) for i in which)
 

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import Chain, Joint, advance, fixed_pose, links, reach
-from ikjax.arm.twists import Twist, of_motors
+from ikjax.arm.twists import Twist, motor_twists
 from ikjax.core import pose as poses
 from ikjax.core import safe, vector
 from ikjax.core.trig import Scalar
@@ -48,7 +48,7 @@ def jacobian_columns(arm: Arm, joints: Joints) -> Rows:
             stands = Joint(joint.sin, joint.cos, link.d)
         frame = poses.Pose(*_held(advance(frame, link, stands)))
     tip = poses.compose(frame, fixed_pose(arm.tool)).position
-    twists = of_motors(arm, Chain(before, before, frame), tip)
+    twists = motor_twists(arm, Chain(before, before, frame), tip)
     return [_column(arm, kind, twist, size) for kind, twist in zip(arm.kinds, twists, strict=True)]
 
 

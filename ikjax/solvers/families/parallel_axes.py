@@ -29,7 +29,7 @@ from ikjax.core import pose as poses
 from ikjax.core import safe, vector
 from ikjax.core.pose import Pose
 from ikjax.core.roots import circle_quartic, cosine_sine
-from ikjax.core.trig import Angle, Scalar, SinCos, nudged
+from ikjax.core.trig import Angle, Scalar, SinCos, add_small_angle
 from ikjax.core.vector import Vector
 from ikjax.core.xla import agreed, pin
 from ikjax.solvers.context import Branch, Setting
@@ -296,7 +296,7 @@ def _polished(
         moves = (gap * s - other * q) * weight, (other * p - gap * r) * weight
         small = real & (jnp.maximum(*map(abs, moves)) < largest)
         moved = [
-            nudged(*joint, jnp.where(small, move, 0))
+            add_small_angle(*joint, jnp.where(small, move, 0))
             for joint, move in zip((first, second), moves, strict=True)
         ]
         first, second = (tuple(map(pin, joint)) for joint in moved)
