@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ikjax.arm.forward import Joint, Link, known_sincos, unwind
+from ikjax.arm.recognition.signs import PairSplit, RegionalSplit
 from ikjax.core import safe
 from ikjax.core.pose import Pose
 from ikjax.core.tolerances import TINY
@@ -60,10 +61,10 @@ class Setting(NamedTuple):
         """Of the goals' type: eps."""
         return self.tiny / TINY
 
-    def close_pairs(self, how: str) -> bool:
+    def close_pairs(self, split: RegionalSplit | PairSplit) -> bool:
         """Whether an equation that nearly splits has roots in pairs that rounding does not tell apart."""
-        wide = self.rounding > 1e-10
-        return how == "nearly" or (wide and how.startswith("nearly"))
+        in_float32 = self.rounding > 1e-10
+        return split == PairSplit.NEARLY or (in_float32 and split.is_nearly)
 
     def angle(self, sine: Scalar, cosine: Scalar) -> Angle:
         """The angle of a sine and a cosine, both pinned."""

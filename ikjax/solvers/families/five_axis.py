@@ -32,6 +32,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from ikjax.arm.forward import Joint, Link, unwind
+from ikjax.arm.recognition.signs import FiveAxisSigns
 from ikjax.core import safe
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Angle, Scalar, SinCos
@@ -71,16 +72,15 @@ class Line(NamedTuple):
 
 
 def branches(
-    signs: tuple[int, ...], links: tuple[Link, ...], goal: Pose, setting: Setting
+    signs: FiveAxisSigns, links: tuple[Link, ...], goal: Pose, setting: Setting
 ) -> tuple[Branch, ...]:
     """All four slots for one goal.
 
-    Arguments as in `ortho_parallel_wrist`; signs: up, s1, c2, c3, s4.
+    Arguments as in `ortho_parallel_wrist`.
     """
-    up, s1, c2, c3, s4 = signs
+    up, s1 = signs.up, signs.sin_alpha1
     one, two, three, four = links[:4]
-    c23 = c2 * c3
-    main, rest = _lines(c2, c3, links, goal, setting)
+    main, rest = _lines(signs, links, goal, setting)
     facing = safe.sign(one.a)
     slots: dict[int, Branch] = {}
     for first in (0, 1):
@@ -89,7 +89,7 @@ def branches(
         miss = abs(one.sin_alpha) * safe.norm(main.gap(base.turn), rest.gap(base.turn))
         seen = unwind(goal, one, Joint(base.turn.sin, base.turn.cos, one.d))
         # Seen from frame 1 the rotation is Rz(pitch) Rx(tilt) Rz(t5), with sin(tilt) = c2 c3 sin(alpha4).
-        tilted = c23 * s4
+        tilted = signs.cos_alpha23 * signs.sin_alpha4
         n = tuple(row[2] for row in seen.rotation)
         weight = tilted * safe.reciprocal_sqrt(n[0] * n[0] + n[1] * n[1])
         p_sin, p_cos = n[0] * weight, jnp.where(weight == 0, 1, -n[1] * weight)
@@ -117,11 +117,10 @@ def branches(
 
 
 def joints_of(
-    signs: tuple[int, ...], base: Shoulder, arm: Triangle, pitch: SinCos, roll: Angle, setting: Setting
+    signs: FiveAxisSigns, base: Shoulder, arm: Triangle, pitch: SinCos, roll: Angle, setting: Setting
 ) -> Joints:
     """All five, of the triangle in the plane that joint 1 turns and the hand's pitch in it."""
-    _, _, c2, c3, _ = signs
-    (p_sin, p_cos), c23 = pitch, c2 * c3
+    (p_sin, p_cos), c2, c23 = pitch, signs.cos_alpha2, signs.cos_alpha23
     # c23 t4 = pitch - (t2 + elbow)
     fore_sin = arm.shoulder_sin * arm.elbow_cos + arm.shoulder_cos * arm.elbow_sin
     fore_cos = arm.shoulder_cos * arm.elbow_cos - arm.shoulder_sin * arm.elbow_sin
@@ -134,13 +133,14 @@ def joints_of(
     )
 
 
-def _lines(c2: int, c3: int, links: tuple[Link, ...], goal: Pose, setting: Setting) -> tuple[Line, Line]:
+def _lines(signs: FiveAxisSigns, links: tuple[Link, ...], goal: Pose, setting: Setting) -> tuple[Line, Line]:
     """The combination of the two lines with the longest (x, y), and the one square to it."""
     one, two, three, four = links[:4]
-    s, c, c23 = one.sin_alpha, one.cos_alpha, float(c2 * c3)
+    s, c = one.sin_alpha, one.cos_alpha
+    c2, c23 = float(signs.cos_alpha2), float(signs.cos_alpha23)
     per = safe.divide(1, s)
     x, y, z = goal.position
-    lateral = plus(plus(two.d, times(float(c2), three.d)), times(c23, four.d))
+    lateral = plus(plus(two.d, times(c2, three.d)), times(c23, four.d))
     foot = Line(x, y, times(per, plus(lateral, minus(times(c, plus(z, -one.d))))))
     n = tuple(row[2] for row in goal.rotation)
     along = Line(n[0], n[1], times(per, plus(times(c23, four.cos_alpha), minus(times(c, n[2])))))

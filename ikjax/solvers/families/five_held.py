@@ -18,6 +18,7 @@ Source: ours.
 import jax.numpy as jnp
 
 from ikjax.arm.forward import Link
+from ikjax.arm.recognition.signs import FiveAxisSigns
 from ikjax.core import safe
 from ikjax.core.pose import Pose
 from ikjax.core.tolerances import SHORT_HAND
@@ -34,7 +35,7 @@ HELD = (1, 3)
 
 
 def branches(
-    signs: tuple[int, ...],
+    signs: FiveAxisSigns,
     links: tuple[Link, ...],
     goal: Pose,
     setting: Setting,
@@ -58,10 +59,15 @@ def branches(
 
 
 def _bent(
-    signs, links: tuple[Link, ...], hand: Hand, setting: Setting, joint: int, angle: SinCos, left: float
+    signs: FiveAxisSigns,
+    links: tuple[Link, ...],
+    hand: Hand,
+    setting: Setting,
+    joint: int,
+    angle: SinCos,
+    left: float,
 ) -> tuple[SinCos, SinCos, SinCos]:
     """Shoulder, elbow and pitch."""
-    _, _, c2, c3, _ = signs
     _, two, three, four = links[:4]
     (x, y), wrist = hand.foot, wrist_of(signs, four, setting)
     if joint == 1:
@@ -70,7 +76,7 @@ def _bent(
         far = triangle(x, y, three.a, length, left, setting)
         fore = far.shoulder_sin, far.shoulder_cos
         return angle, _less(fore, angle), _less(_more(fore, (far.elbow_sin, far.elbow_cos)), lean)
-    tip = times(float(c2 * c3), angle[0]), angle[1]
+    tip = times(float(signs.cos_alpha23), angle[0]), angle[1]
     ahead, aside = turned(wrist, tip)
     length, lean = _polar(plus(three.a, ahead), aside)
     far = triangle(x, y, two.a, length, left, setting)

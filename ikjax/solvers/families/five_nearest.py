@@ -27,6 +27,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from ikjax.arm.forward import Joint, Link, unwind
+from ikjax.arm.recognition.signs import FiveAxisSigns
 from ikjax.core import safe, vector
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Scalar, SinCos
@@ -54,10 +55,10 @@ class Hand(NamedTuple):
 
 
 def branches(
-    signs: tuple[int, ...], links: tuple[Link, ...], goal: Pose, setting: Setting
+    signs: FiveAxisSigns, links: tuple[Link, ...], goal: Pose, setting: Setting
 ) -> tuple[Branch, ...]:
     """All four slots for one goal."""
-    up, s1, *_ = signs
+    up, s1 = signs.up, signs.sin_alpha1
     one, two, three, four = links[:4]
     slots: dict[int, Branch] = {}
     for first in (0, 1):
@@ -77,27 +78,35 @@ def branches(
     return tuple(slots[slot] for slot in range(4))
 
 
-def hand_of(signs, links: tuple[Link, ...], goal: Pose, side: Scalar, setting: Setting) -> Hand:
+def hand_of(
+    signs: FiveAxisSigns, links: tuple[Link, ...], goal: Pose, side: Scalar, setting: Setting
+) -> Hand:
     """Joint 1 on one side, and the nearest hand that it allows."""
     x, y, _ = setting.tool
     point = vector.add(goal.position, vector.rotate(goal.rotation, setting.tool))
     off = vector.rotate(goal.rotation, (x, y, 0.0))
-    hand = _held(signs, links, goal, vector.subtract(point, off), side, setting)
+    hand = _hand_at(signs, links, goal, vector.subtract(point, off), side, setting)
     if isinstance(x, float) and isinstance(y, float) and x == y == 0:
         return hand
     for _ in range(ROUNDS - 1):
         off = _carried(signs, links, hand, (x, y))
-        hand = _held(signs, links, goal, vector.subtract(point, off), side, setting)
+        hand = _hand_at(signs, links, goal, vector.subtract(point, off), side, setting)
     return hand
 
 
-def _held(signs, links: tuple[Link, ...], goal: Pose, foot, side: Scalar, setting: Setting) -> Hand:
-    """The nearest hand with the foot held."""
-    _, _, c2, c3, s4 = signs
-    c23 = float(c2 * c3)
+def _hand_at(
+    signs: FiveAxisSigns,
+    links: tuple[Link, ...],
+    goal: Pose,
+    foot: vector.Vector,
+    side: Scalar,
+    setting: Setting,
+) -> Hand:
+    """The nearest hand whose foot is at a given point."""
+    c2, c23, s4 = float(signs.cos_alpha2), float(signs.cos_alpha23), signs.sin_alpha4
     one, two, three, four = links[:4]
     s, c = one.sin_alpha, one.cos_alpha
-    lateral = plus(plus(two.d, times(float(c2), three.d)), times(c23, four.d))
+    lateral = plus(plus(two.d, times(c2, three.d)), times(c23, four.d))
     lateral = plus(lateral, times(times(c23, four.cos_alpha), setting.tool[2]))
     x, y, z = foot
     lateral = times(safe.divide(1, s), plus(lateral, minus(times(c, plus(z, -one.d)))))
@@ -112,9 +121,9 @@ def _held(signs, links: tuple[Link, ...], goal: Pose, foot, side: Scalar, settin
     return Hand(base, (x, y), pitch, roll_of(signs, seen.rotation, pitch, four, setting), seen.rotation)
 
 
-def wrist_of(signs, four: Link, setting: Setting) -> tuple[Scalar, Scalar]:
+def wrist_of(signs: FiveAxisSigns, four: Link, setting: Setting) -> tuple[Scalar, Scalar]:
     """From axis 4 to the foot, at pitch zero."""
-    return four.a, times(-float(signs[2] * signs[3]), times(four.sin_alpha, setting.tool[2]))
+    return four.a, times(-float(signs.cos_alpha23), times(four.sin_alpha, setting.tool[2]))
 
 
 def turned(point: tuple[Scalar, Scalar], angle: SinCos) -> tuple[Scalar, Scalar]:
@@ -143,9 +152,11 @@ def _reachable(pitch: SinCos, foot, wrist, two: Link, three: Link) -> SinCos:
     return pitch[0] * cosine + pitch[1] * sine, pitch[1] * cosine - pitch[0] * sine
 
 
-def roll_of(signs, rotation, pitch: SinCos, four: Link, setting: Setting) -> SinCos:
+def roll_of(
+    signs: FiveAxisSigns, rotation: vector.Matrix, pitch: SinCos, four: Link, setting: Setting
+) -> SinCos:
     """The roll that brings Rz(pitch) Rx(tilt) Rz(roll) nearest to a rotation seen from frame 1."""
-    (p_sin, p_cos), c23 = pitch, float(signs[2] * signs[3])
+    (p_sin, p_cos), c23 = pitch, float(signs.cos_alpha23)
     ahead = [p_cos * rotation[0][k] + p_sin * rotation[1][k] for k in (0, 1)]
     aside = [p_cos * rotation[1][k] - p_sin * rotation[0][k] for k in (0, 1)]
     t_sin, t_cos = times(c23, four.sin_alpha), times(c23, four.cos_alpha)
@@ -155,10 +166,10 @@ def roll_of(signs, rotation, pitch: SinCos, four: Link, setting: Setting) -> Sin
     return pin(sine * weight), pin(jnp.where(weight == 0, 1, cosine * weight))
 
 
-def _carried(signs, links: tuple[Link, ...], hand: Hand, tool) -> vector.Vector:
+def _carried(signs: FiveAxisSigns, links: tuple[Link, ...], hand: Hand, tool) -> vector.Vector:
     """What stands off axis 5, as the hand holds it, seen from frame 0."""
     one, four = links[0], links[3]
-    c23 = float(signs[2] * signs[3])
+    c23 = float(signs.cos_alpha23)
     t_sin, t_cos = times(c23, four.sin_alpha), times(c23, four.cos_alpha)
     x, y = turned(tool, hand.roll)
     y, z = times(t_cos, y), times(t_sin, y)

@@ -23,6 +23,7 @@ manipulators with an ortho-parallel basis and a spherical wrist (2014), counts t
 import jax.numpy as jnp
 
 from ikjax.arm.forward import Link
+from ikjax.arm.recognition.signs import OrthoParallelWristSigns
 from ikjax.core import safe, vector
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Angle
@@ -33,18 +34,18 @@ from ikjax.solvers.steps.wrist import general_wrist, shortfall, square_wrist
 
 
 def branches(
-    signs: tuple[int, ...], links: tuple[Link, ...], goal: Pose, setting: Setting
+    signs: OrthoParallelWristSigns, links: tuple[Link, ...], goal: Pose, setting: Setting
 ) -> tuple[Branch, ...]:
     """All eight slots for one goal.
 
     Args:
-        signs: `up`, then the signs of sin(alpha1), cos(alpha2), sin(alpha4), sin(alpha5), and 1 for a
-            wrist whose twists are right angles.
+        signs: Those of the family.
         links: The table, lengths in units of the reach.
         goal: Frame 6 without the last link's own d, a, alpha, seen from frame 0.
         setting: Fills what is arbitrary.
     """
-    up, s1, c2, s4, s5, square = signs
+    up, s1, c2 = signs.up, signs.sin_alpha1, signs.cos_alpha2
+    s4, s5, square = signs.sin_alpha4, signs.sin_alpha5, signs.square_wrist
     one, two, three, four, five = links[:5]
     x, y, z = goal.position
     lateral = s1 * (two.d + c2 * (three.d + four.d * three.cos_alpha))

@@ -25,6 +25,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from ikjax.arm.forward import Link
+from ikjax.arm.recognition.signs import PairSplit, ParallelAxesSigns
 from ikjax.core import pose as poses
 from ikjax.core import safe, vector
 from ikjax.core.pose import Pose
@@ -58,17 +59,18 @@ class Pair(NamedTuple):
     """One of them is arbitrary."""
 
 
-def branches(signs: tuple, links: tuple[Link, ...], goal: Pose, setting: Setting) -> tuple[Branch, ...]:
+def branches(
+    signs: ParallelAxesSigns, links: tuple[Link, ...], goal: Pose, setting: Setting
+) -> tuple[Branch, ...]:
     """All eight slots for one goal.
 
-    Arguments as in `pieper`; signs: the first of the parallel axes, 1 to 4; whether the equations split;
-    and each parallel axis against the first.
+    Arguments as in `pieper`.
     """
-    place, splits, *along = signs
+    place, split, *along = signs
     axes, tip = axes_of(links)
     if place in (2, 4):
         solve = _inner if place == 2 else _last
-        found = solve(axes, tip, goal, splits, along, setting)
+        found = solve(axes, tip, goal, split, along, setting)
         return tuple(Branch(joints, goal, margin, free) for joints, margin, free in found)
     # The inverse of a product of turns about axes is the product, in the other order, of turns the
     # other way about the same axes, seen from the tip.
@@ -77,7 +79,7 @@ def branches(signs: tuple, links: tuple[Link, ...], goal: Pose, setting: Setting
     now = tuple(Angle(-j.sin, j.cos, -j.value) for j in setting.now[::-1])
     setting = setting._replace(now=now)
     along = [sign * along[-1] for sign in along[::-1]]
-    found = solve(back, poses.inverse(tip), poses.inverse(goal), splits, along, setting)
+    found = solve(back, poses.inverse(tip), poses.inverse(goal), split, along, setting)
     slots = []
     for joints, margin, free in found:
         turned_back = tuple(Angle(-j.sin, j.cos, -j.value) for j in joints[::-1])
@@ -85,7 +87,7 @@ def branches(signs: tuple, links: tuple[Link, ...], goal: Pose, setting: Setting
     return tuple(slots)
 
 
-def _inner(axes, tip: Pose, goal: Pose, splits: str, along, setting: Setting):
+def _inner(axes, tip: Pose, goal: Pose, split: PairSplit, along, setting: Setting):
     """Axes 2, 3, 4 parallel: A = 1, B = 5, C = 6."""
     one, two, _, _, five, six = axes
     h = two.along
@@ -104,7 +106,7 @@ def _inner(axes, tip: Pose, goal: Pose, splits: str, along, setting: Setting):
         ),
     )
     answers = []
-    for pair in _pairs(equations, splits, (0, 4), setting):
+    for pair in _pairs(equations, split, (0, 4), setting):
         a, b = pair.first, pair.second
         wanted = vector.rotate(vector.transpose(change), turned(one.along, a.sin, a.cos, h))
         c, free = _turn_to(six, turned(five.along, -b.sin, b.cos, h), wanted, 5, setting, backwards=True)
@@ -117,7 +119,7 @@ def _inner(axes, tip: Pose, goal: Pose, splits: str, along, setting: Setting):
     return answers
 
 
-def _last(axes, tip: Pose, goal: Pose, splits: str, along, setting: Setting):
+def _last(axes, tip: Pose, goal: Pose, split: PairSplit, along, setting: Setting):
     """Axes 4, 5, 6 parallel: A = 1, B = 3, C = 2."""
     one, two, three, four, _, six = axes
     h = four.along
@@ -137,7 +139,7 @@ def _last(axes, tip: Pose, goal: Pose, splits: str, along, setting: Setting):
     c, d, other = component(fore, three.along, h)
     second = Equation(a, b, c, d, height - rest - other)
     answers = []
-    for pair in _pairs((first, second), splits, (0, 2), setting):
+    for pair in _pairs((first, second), split, (0, 2), setting):
         a, b = pair.first, pair.second
         start = turned(three.along, b.sin, b.cos, h)
         wanted = turned(one.along, -a.sin, a.cos, facing)
@@ -188,11 +190,11 @@ def _turn_to(
     return setting.filled(joint, free, sine * weight, cosine * weight), free
 
 
-def _pairs(equations: tuple[Equation, Equation], splits: str, joints, setting: Setting) -> list[Pair]:
+def _pairs(equations: tuple[Equation, Equation], split: PairSplit, joints, setting: Setting) -> list[Pair]:
     """Joints A and B from their two equations: four pairs."""
     one, two = equations
-    if splits in ("exactly", "within 1e-5"):
-        return _split_pairs(one, two, splits, joints, setting)
+    if split.is_split:
+        return _split_pairs(one, two, split, joints, setting)
     determinant = one.c * two.d - one.d * two.c
     weight = safe.divide(1, determinant)
 
@@ -227,7 +229,7 @@ def _pairs(equations: tuple[Equation, Equation], splits: str, joints, setting: S
         size = safe.reciprocal_sqrt(cosine * cosine + sine * sine)
         turn = pin(sine * size), pin(jnp.where(size == 0, 1, cosine * size))
         start, real, steps, largest = (root.sin, root.cos), root.real, 1, setting.rounding**0.25
-        if setting.close_pairs(splits):
+        if setting.close_pairs(split):
             turn = _side_of_close_pair(equations, start, rise, setting)
             # What is left of a complex pair may be a real one that rounding hides, but only nearby.
             steps, largest, real = 4, jnp.where(root.real, 0.3, 4 * largest), True
@@ -309,11 +311,11 @@ STEPS = 8
 1e-5 counts there by its square root."""
 
 
-def _split_pairs(one: Equation, two: Equation, splits: str, joints, setting: Setting) -> list[Pair]:
+def _split_pairs(one: Equation, two: Equation, split: PairSplit, joints, setting: Setting) -> list[Pair]:
     """Where B's coefficients are proportional: the combination without B, and the one with most of it."""
     alone, with_b = _separated(one, two)
     noise = setting.noise
-    if splits != "exactly":
+    if split != PairSplit.EXACTLY:
         # So that the true root lies between the two starts.
         noise = noise + abs(alone.c) + abs(alone.d)
     pairs = []
@@ -325,7 +327,7 @@ def _split_pairs(one: Equation, two: Equation, splits: str, joints, setting: Set
             deep = cosine_sine(with_b.c, with_b.d, rest, side_b, noise=noise)
             second = setting.filled(joints[1], deep.free, deep.sin, deep.cos)
             pair = Pair(first, second, jnp.minimum(root.margin, deep.margin), root.free | deep.free)
-            if splits != "exactly":
+            if split != PairSplit.EXACTLY:
                 ends = (first.sin, first.cos), (second.sin, second.cos)
                 turns = _polished((one, two), *ends, ~pair.free, setting, STEPS, 0.3)
                 pair = pair._replace(first=turns[0], second=turns[1])

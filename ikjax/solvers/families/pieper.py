@@ -19,6 +19,7 @@ Source: Craig, Introduction to Robotics, 3rd ed., section 4.6.
 import jax.numpy as jnp
 
 from ikjax.arm.forward import Link
+from ikjax.arm.recognition.signs import PieperSigns
 from ikjax.core import pose as poses
 from ikjax.core import safe, vector
 from ikjax.core.pose import Pose
@@ -28,23 +29,22 @@ from ikjax.solvers.steps.regional import three_joints
 from ikjax.solvers.steps.wrist import general_wrist, square_wrist
 
 
-def branches(signs: tuple, links: tuple[Link, ...], goal: Pose, setting: Setting) -> tuple[Branch, ...]:
+def branches(signs: PieperSigns, links: tuple[Link, ...], goal: Pose, setting: Setting) -> tuple[Branch, ...]:
     """All slots for one goal.
 
-    Arguments as in `ortho_parallel_wrist`; signs: how the regional equation splits, the signs of
-    sin(alpha4), sin(alpha5), and 1 for a wrist whose twists are right angles.
+    Arguments as in `ortho_parallel_wrist`.
     """
-    how, s4, s5, square = signs
+    s4, s5 = signs.sin_alpha4, signs.sin_alpha5
     four, five = links[3], links[4]
     twists = (four.sin_alpha, four.cos_alpha, five.sin_alpha, five.cos_alpha)
     pointing = s4 * safe.sign(four.d)
-    ways = three_joints.regional(links[:3], (0.0, 0.0, four.d), goal.position, how, setting)
+    ways = three_joints.regional(links[:3], (0.0, 0.0, four.d), goal.position, signs.split, setting)
     plain: list[Branch] = []
     flipped: list[Branch] = []
     for way in ways:
         seen = setting.unwind(goal, links, way.joints)
         across, _, along = vector.transpose(seen.rotation)
-        if square:
+        if signs.square_wrist:
             pair = square_wrist(along, across, (s4, s5), pointing, setting)
         else:
             pair = general_wrist(along, across, twists, pointing, setting)
@@ -56,7 +56,7 @@ def branches(signs: tuple, links: tuple[Link, ...], goal: Pose, setting: Setting
 
 
 def reversed_branches(
-    signs: tuple, links: tuple[Link, ...], goal: Pose, setting: Setting
+    signs: PieperSigns, links: tuple[Link, ...], goal: Pose, setting: Setting
 ) -> tuple[Branch, ...]:
     """All slots of an arm whose wrist is at its base."""
     table, turned = reverse(links, goal)

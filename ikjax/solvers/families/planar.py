@@ -20,6 +20,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from ikjax.arm.forward import Link
+from ikjax.arm.recognition.signs import PlanarPoseSigns, PlanarPositionSigns
 from ikjax.core import safe, vector
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Angle, Scalar, SinCos
@@ -57,10 +58,12 @@ def plane_of(kinds: str, axes: tuple[Axis, ...]) -> Plane:
     return Plane(x, vector.cross(up, x), up)
 
 
-def branches(signs: tuple, links: tuple[Link, ...], goal: Pose, setting: Setting) -> tuple[Branch, ...]:
+def branches(
+    signs: PlanarPoseSigns | PlanarPositionSigns, links: tuple[Link, ...], goal: Pose, setting: Setting
+) -> tuple[Branch, ...]:
     """All slots for one goal.
 
-    Arguments as in `pieper`; signs: +1 or -1 for each joint, its axis against the plane's.
+    Arguments as in `pieper`.
     """
     kinds = "".join(link.kind for link in links)
     axes, tip = axes_of(links)

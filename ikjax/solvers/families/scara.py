@@ -12,6 +12,7 @@ Source: Craig, Introduction to Robotics, 3rd ed., section 4.4 for the plane; the
 """
 
 from ikjax.arm.forward import Link
+from ikjax.arm.recognition.signs import ScaraSigns, TurretSigns
 from ikjax.core import safe, vector
 from ikjax.core.pose import Pose
 from ikjax.core.vector import Vector
@@ -20,8 +21,8 @@ from ikjax.solvers.families.planar import heading_of, plane_of, three_joints
 from ikjax.solvers.steps.lines import axes_of, component, pose_turned
 
 
-def branches(signs: tuple, links: tuple[Link, ...], goal: Pose, setting: Setting) -> tuple[Branch, ...]:
-    """Both slots of a SCARA; signs: of each axis against the first turning one."""
+def branches(signs: ScaraSigns, links: tuple[Link, ...], goal: Pose, setting: Setting) -> tuple[Branch, ...]:
+    """Both slots of a SCARA."""
     kinds = "".join(link.kind for link in links)
     k = kinds.index("P")
     axes, tip = axes_of(links)
@@ -54,9 +55,9 @@ def _carried(along: Vector, tip: Pose, goal: Pose) -> Vector:
 
 
 def turret_branches(
-    signs: tuple, links: tuple[Link, ...], goal: Pose, setting: Setting
+    signs: TurretSigns, links: tuple[Link, ...], goal: Pose, setting: Setting
 ) -> tuple[Branch, ...]:
-    """Both slots of a turning base before three parallel axes; signs: of axes 2, 3, 4 against 2."""
+    """Both slots of a turning base before three parallel axes."""
     axes, tip = axes_of(links)
     along = axes[1].along
     # Where the goal has the direction that axes 2, 3, 4 share.

@@ -26,6 +26,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from ikjax.arm.forward import Joint, Link, unwind
+from ikjax.arm.recognition.signs import ThreeParallelSigns
 from ikjax.core import safe, vector
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Angle, Scalar, SinCos, angle
@@ -36,15 +37,15 @@ from ikjax.solvers.steps.triangle import ring, triangle
 
 
 def branches(
-    signs: tuple[int, ...], links: tuple[Link, ...], goal: Pose, setting: Setting
+    signs: ThreeParallelSigns, links: tuple[Link, ...], goal: Pose, setting: Setting
 ) -> tuple[Branch, ...]:
     """All eight slots for one goal.
 
-    Arguments as in `ortho_parallel_wrist`; signs: up, s1, c2, c3, s4, s5.
+    Arguments as in `ortho_parallel_wrist`.
     """
-    up, s1, c2, c3, s4, s5 = signs
+    up, s1, s4, s5 = signs.up, signs.sin_alpha1, signs.sin_alpha4, signs.sin_alpha5
+    c2, c23 = signs.cos_alpha2, signs.cos_alpha23
     one, two, three, four, five = links[:5]
-    c23 = c2 * c3
     x, y, _ = goal.position
     lateral = s1 * (two.d + c2 * three.d + c23 * four.d)
     facing = safe.sign(one.a)

@@ -27,6 +27,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from ikjax.arm.forward import Link, advance, known_sincos
+from ikjax.arm.recognition.signs import RegionalSplit
 from ikjax.core import safe, vector
 from ikjax.core.pose import IDENTITY, Pose
 from ikjax.core.roots import cosine_sine
@@ -56,7 +57,7 @@ class Regional(NamedTuple):
 
 
 def regional(
-    links: tuple[Link, ...], point: Vector, wanted: Vector, how: str, setting: Setting
+    links: tuple[Link, ...], point: Vector, wanted: Vector, split: RegionalSplit, setting: Setting
 ) -> tuple[Regional, ...]:
     """Every way to bring a point where it is wanted.
 
@@ -64,15 +65,13 @@ def regional(
         links: The first three, lengths in units of the reach.
         point: Fixed in frame 3 without joint 3's own turn and slide.
         wanted: Where it has to be, seen from frame 0.
-        how: How the equation for joint 3 splits, see `arm.recognition.rules`: "" where it does not,
-            "meet" where axes 1 and 2 do, "parallel", "square" where one turns squarely to a slide,
-            "slides"; "nearly meet" and the like where it all but does.
+        split: How the equation for joint 3 splits.
         setting: Fills what is arbitrary.
     """
     chain = chain_of(links, point)
     eliminate = {"RR": _two_turns, "RP": _turn_slide, "PR": _slide_turn, "PP": _two_slides}
-    ways = eliminate[chain.kinds[:2]](chain, wanted, how, setting)
-    nearly = setting.close_pairs(how)
+    ways = eliminate[chain.kinds[:2]](chain, wanted, split, setting)
+    nearly = setting.close_pairs(split)
     return tuple(_polished(chain, point, wanted, way, nearly, setting) for way in ways)
 
 
@@ -133,7 +132,7 @@ def _applied(pose: Pose, point: Vector) -> Vector:
     return vector.add(vector.rotate(pose.rotation, point), pose.position)
 
 
-def _two_turns(chain: Chain, wanted: Vector, how: str, setting: Setting):
+def _two_turns(chain: Chain, wanted: Vector, split: RegionalSplit, setting: Setting):
     one = chain.links[0]
     x, y, z = wanted[0], wanted[1], wanted[2] - one.d
     s, c = one.sin_alpha, one.cos_alpha
@@ -142,26 +141,26 @@ def _two_turns(chain: Chain, wanted: Vector, how: str, setting: Setting):
     ahead = Poly(plus(span_squared, -times(one.a, one.a))).less(chain.h_squared)
     up = Poly(z).less(chain.h[2].times(c))
     answers = []
-    if how in ("", "nearly meet", "nearly parallel"):
+    if split.is_full:
         thirds = _quartic_of_two_turns(chain, ahead, up, (x, y, z), setting)
-    elif how == "meet":
+    elif split == RegionalSplit.MEET:
         thirds = roots(chain, ahead, setting, safe.sqrt(span_squared))
     else:
         thirds = roots(chain, up, setting)
-    nearly = setting.close_pairs(how)
+    nearly = setting.close_pairs(split)
     for third in thirds:
         h1, h2, h3 = (pin(p.at(third.u, third.v)) for p in chain.h)
-        if how in ("", "nearly meet", "nearly parallel"):
+        if split.is_full:
             size = h1 * h1 + h2 * h2
             g1 = safe.divide(ahead.at(third.u, third.v), 2 * one.a)
             g2 = safe.divide(up.at(third.u, third.v), s)
-            if nearly and how == "nearly meet":
+            if nearly and split == RegionalSplit.NEARLY_MEET:
                 g1 = _side(ahead, third, chain, one.a, setting) * safe.sqrt(size - g2 * g2)
-            if nearly and how == "nearly parallel":
+            if nearly and split == RegionalSplit.NEARLY_PARALLEL:
                 g2 = _side(up, third, chain, s, setting) * safe.sqrt(size - g1 * g1)
             second, free = setting.between(1, (h1, h2), (g1, g2))
             seconds = [(second, jnp.inf, free)]
-        elif how == "meet":
+        elif split == RegionalSplit.MEET:
             # A height of s makes one of its right side.
             seconds = [
                 (second, abs(s) * margin, free)
@@ -228,7 +227,7 @@ def _quartic_of_two_turns(chain: Chain, ahead: Poly, up: Poly, wanted: Vector, s
     return circle_roots(chain, half_angle_harmonics(square), setting, half_angle_slope)
 
 
-def _turn_slide(chain: Chain, wanted: Vector, how: str, setting: Setting):
+def _turn_slide(chain: Chain, wanted: Vector, split: RegionalSplit, setting: Setting):
     one, two = chain.links[:2]
     x, y, z = wanted[0], wanted[1], wanted[2] - one.d
     s, c = one.sin_alpha, one.cos_alpha
@@ -238,7 +237,7 @@ def _turn_slide(chain: Chain, wanted: Vector, how: str, setting: Setting):
     ahead = g1.plus(Poly(one.a))
     around = x * x + y * y
     answers = []
-    if how == "square":
+    if split == RegionalSplit.SQUARE:
         for third in roots(chain, Poly(z).less(g2.times(s)), setting):
             gap = around - ahead.at(third.u, third.v) ** 2
             for side in (1, -1):
@@ -255,7 +254,7 @@ def _turn_slide(chain: Chain, wanted: Vector, how: str, setting: Setting):
 
         for third in second_degree(chain, square, setting, slope):
             g3 = safe.divide(z - s * g2.at(third.u, third.v), c)
-            if setting.close_pairs(how):
+            if setting.close_pairs(split):
                 gap = around - ahead.at(third.u, third.v) ** 2
                 side = _side(g2.less(Poly(times(s, z))), third, chain, c, setting)
                 g3 = safe.divide(c * g2.at(third.u, third.v) - side * safe.sqrt(gap), s)
@@ -269,7 +268,7 @@ def _turn_slide(chain: Chain, wanted: Vector, how: str, setting: Setting):
     return tuple(ways)
 
 
-def _slide_turn(chain: Chain, wanted: Vector, how: str, setting: Setting):
+def _slide_turn(chain: Chain, wanted: Vector, split: RegionalSplit, setting: Setting):
     one = chain.links[0]
     s, c = one.sin_alpha, one.cos_alpha
     sine, cosine = known_sincos(one.theta)
@@ -277,7 +276,7 @@ def _slide_turn(chain: Chain, wanted: Vector, how: str, setting: Setting):
     g1 = x - one.a
     h1, h2, h3 = chain.h
     ways = []
-    if how == "square":
+    if split == RegionalSplit.SQUARE:
         thirds = roots(chain, Poly(y).plus(h3.times(s)), setting)
     else:
         across = Poly(y).plus(h3.times(s))
@@ -291,11 +290,11 @@ def _slide_turn(chain: Chain, wanted: Vector, how: str, setting: Setting):
         thirds = second_degree(chain, square, setting, slope)
     for third in thirds:
         at = [p.at(third.u, third.v) for p in (h1, h2, h3)]
-        if how == "square":
+        if split == RegionalSplit.SQUARE:
             seconds = _turns(at[0], -at[1], g1, setting)
         else:
             other = g2.at(third.u, third.v)
-            if setting.close_pairs(how):
+            if setting.close_pairs(split):
                 gap = at[0] * at[0] + at[1] * at[1] - g1 * g1
                 other = _side(across, third, chain, c, setting) * safe.sqrt(gap)
             second, free = setting.between(1, (at[0], at[1]), (g1, other))
@@ -308,7 +307,7 @@ def _slide_turn(chain: Chain, wanted: Vector, how: str, setting: Setting):
     return tuple(ways)
 
 
-def _two_slides(chain: Chain, wanted: Vector, how: str, setting: Setting):
+def _two_slides(chain: Chain, wanted: Vector, split: RegionalSplit, setting: Setting):
     one, two = chain.links[:2]
     s, c = one.sin_alpha, one.cos_alpha
     sine, cosine = known_sincos(one.theta)
