@@ -45,21 +45,23 @@ def moved_on(joint: Angle | Slide, step: Scalar) -> Angle | Slide:
 class Setting(NamedTuple):
     """What a family's kernel needs besides the arm and the goal."""
 
-    now: Joints
-    """What fills joints that are arbitrary."""
-    tool: Vector
-    """The tool point seen from the frame that ends in the last joint."""
-    tiny: float
-    """Lengths (in units of the reach) and sines below this are zero."""
-    noise: Scalar
-    """What rounding may have taken from a length, and what the arm is off by."""
-    off: Scalar
-    """What the arm as given is off by, in lengths and angles: zero for the arm as recognized."""
+    fallback: Joints
+    """The value of each joint where the goal leaves it arbitrary: the caller's `q_now`, zero by default."""
+    tool_point: Vector
+    """The tool point, seen from the frame that ends in the last joint."""
+    zero_tolerance: float
+    """Lengths (in units of the reach) and sines below this count as zero: `TINY` roundings."""
+    length_uncertainty: Scalar
+    """How far a computed length may be off, in units of the reach: an eighth of `zero_tolerance` for
+    rounding, and `correction_size`. Steps add it beside a fold, where a length that is too short loses an
+    answer."""
+    correction_size: Scalar
+    """A measure of `Arm.correction`, in units of the reach and rad; zero for an arm solved as recognized."""
 
     @property
     def rounding(self) -> float:
         """Of the goals' type: eps."""
-        return self.tiny / TINY
+        return self.zero_tolerance / TINY
 
     def close_pairs(self, split: RegionalSplit | PairSplit) -> bool:
         """Whether an equation that nearly splits has roots in pairs that rounding does not tell apart."""
@@ -71,9 +73,9 @@ class Setting(NamedTuple):
         return angle(pin(sine), pin(cosine))
 
     def filled(self, joint: int, free: jax.Array, sine: Scalar, cosine: Scalar) -> Angle:
-        """The angle of a sine and a cosine, or the joint's own where it is arbitrary."""
-        now = self.now[joint]
-        return self.angle(jnp.where(free, now.sin, sine), jnp.where(free, now.cos, cosine))
+        """The angle of a sine and a cosine, or the joint's fallback where it is arbitrary."""
+        fallback = self.fallback[joint]
+        return self.angle(jnp.where(free, fallback.sin, sine), jnp.where(free, fallback.cos, cosine))
 
     def between(
         self, joint: int, before: tuple[Scalar, Scalar], after: tuple[Scalar, Scalar], sign: int = 1
@@ -87,7 +89,7 @@ class Setting(NamedTuple):
         """
         (u, v), (x, y) = before, after
         sine, cosine = u * y - v * x, u * x + v * y
-        free = (u * u + v * v <= self.tiny**2) | (x * x + y * y <= self.tiny**2)
+        free = (u * u + v * v <= self.zero_tolerance**2) | (x * x + y * y <= self.zero_tolerance**2)
         weight = safe.reciprocal_sqrt(sine * sine + cosine * cosine)
         free |= weight == 0
         return self.filled(joint, free, sign * sine * weight, cosine * weight), free

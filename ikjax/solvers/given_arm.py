@@ -37,8 +37,8 @@ class Given(NamedTuple):
     links: tuple[Link, ...]
     between: tuple[Pose, ...] | None
     """What each link but the last is off by, at its end."""
-    tool: Vector
-    """The tool point seen from the last frame."""
+    tool_point: Vector
+    """Seen from the last frame."""
 
 
 def polished(
@@ -75,8 +75,8 @@ def polished(
     start = jax.tree.map(divider_once(jax.tree.leaves(start)[0]), start)
     goals = jax.tree.map(lambda x: jnp.broadcast_to(x, shape[1:]).reshape(1, -1), goal)
     solve = _Solve(given, turning, setting)
-    size = 32 * setting.off
-    steps = _steps_at_once(setting.off, allowed[1])
+    size = 32 * setting.correction_size
+    steps = _steps_at_once(setting.correction_size, allowed[1])
     joints = jax.lax.fori_loop(0, steps, lambda _, joints: solve.step(joints, goals), start)
     found = _Found(joints, *solve.errors(joints, goals))
     gap, angle = (jnp.broadcast_to(jnp.asarray(x), shape[1:]).reshape(1, -1) for x in allowed)
@@ -163,7 +163,7 @@ class _Solve(NamedTuple):
         # Slots that meet at a fold keep their answer both. From farther off it is another's: near a fold an
         # error counts by its square root.
         claimed, moved = _claimed(start, joints)
-        short = self.setting.rounding**0.25 + 4 * safe.sqrt(32 * self.setting.off)
+        short = self.setting.rounding**0.25 + 4 * safe.sqrt(32 * self.setting.correction_size)
         joints = _where(claimed & (moved > short), start, joints)
         return _Found(joints, *self.errors(joints, goals))
 
@@ -226,7 +226,7 @@ def _walk(given: Given, joints: Joints) -> tuple[Pose, list[Pose]]:
 
 
 def _gap(given: Given, reached: Pose, goal: Pose, slip) -> Vector:
-    return vector.add(vector.subtract(reached.position, goal.position), vector.rotate(slip, given.tool))
+    return vector.add(vector.subtract(reached.position, goal.position), vector.rotate(slip, given.tool_point))
 
 
 def _step(given: Given, joints: Joints, goal: Pose, turning: bool, setting: Setting) -> Joints:
@@ -234,7 +234,7 @@ def _step(given: Given, joints: Joints, goal: Pose, turning: bool, setting: Sett
     reached, before = _walk(given, joints)
     slip = tuple(map(vector.subtract, reached.rotation, goal.rotation))
     gap = tuple(map(pin, _gap(given, reached, goal, slip)))
-    tip = vector.add(reached.position, vector.rotate(reached.rotation, given.tool))
+    tip = vector.add(reached.position, vector.rotate(reached.rotation, given.tool_point))
     tip = tuple(map(pin, tip))
     # Half the sum of the columns' cross products is the sine of the turn that is left, along its axis.
     columns = zip(vector.transpose(reached.rotation), vector.transpose(goal.rotation), strict=True)
@@ -255,7 +255,7 @@ def _step(given: Given, joints: Joints, goal: Pose, turning: bool, setting: Sett
     count = len(joints)
     matrix = [[pin(_dot(motions[i], motions[j])) for j in range(i + 1)] for i in range(count)]
     for i in range(count):
-        matrix[i][i] = matrix[i][i] + setting.tiny / 4
+        matrix[i][i] = matrix[i][i] + setting.zero_tolerance / 4
     steps = solve_symmetric(matrix, [pin(_dot(m, wanted)) for m in motions])
     size = functools.reduce(jnp.maximum, map(abs, steps))
     shrink = pin(LARGEST_STEP / jnp.maximum(size, LARGEST_STEP))

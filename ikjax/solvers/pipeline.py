@@ -89,11 +89,11 @@ class Frame(NamedTuple):
     """T_base_world."""
     from_tool: Pose
     """T_tool_tip"""
-    tool: vector.Vector
-    """The tool point seen from the tip."""
+    tool_point: vector.Vector
+    """Seen from the tip."""
     between: tuple[Pose, ...] | None
     """What each link but the last is off by, at its end; see `Arm.correction`."""
-    off: Scalar
+    correction_size: Scalar
     """A small part of all that they are off by: enough to bend an elbow that has to be straight on the
     arm as recognized and need not be on the arm as given."""
 
@@ -123,11 +123,11 @@ def prepare(arm: Arm) -> Frame:
         poses.inverse(tip_tool),
         tip_tool.position,
         between,
-        0.0 if between is None else _sum_off(arm, per),
+        0.0 if between is None else _correction_size(arm, per),
     )
 
 
-def _sum_off(arm: Arm, per: Scalar) -> Scalar:
+def _correction_size(arm: Arm, per: Scalar) -> Scalar:
     assert arm.correction is not None
     rows = [numbers(arm.correction[i]) for i in range(1, arm.n)]
     return sum(per * sum(map(abs, row[:3])) + sum(map(abs, row[3:])) for row in rows) / 32
@@ -140,7 +140,7 @@ def _wrapped(theta: Scalar) -> Scalar:
 def solve_scalars(
     arm: Arm,
     goal: Pose,
-    now: tuple[Scalar, ...] | None = None,
+    fallback: tuple[Scalar, ...] | None = None,
     tolerance: float | None = None,
 ) -> tuple[Slot, ...]:
     """Every slot for one goal, in scalars (or for many goals, one array a scalar).
@@ -148,20 +148,20 @@ def solve_scalars(
     Args:
         arm: An arm with a family.
         goal: T_world_tool with an orthonormal rotation; `clean` makes one of anything.
-        now: Joint values that arbitrary joints follow; zero by default.
+        fallback: Joint values where the goal leaves joints arbitrary; zero by default.
         tolerance: Overrides `VALID` for the goal's type.
 
     Returns:
         One `Slot` for each branch of the family, in slot order.
     """
     tolerance = VALID[jnp.result_type(goal.position[0]).name] if tolerance is None else tolerance
-    frame, tip, setting = _set(arm, goal, now)
+    frame, tip, setting = _set(arm, goal, fallback)
     allowed = tolerance * (1 + frame.per_reach * vector.norm(goal.position))
     turning = arm.task in TURNING
     family = FAMILIES[str(arm.family)]
     branches = family.branches(arm.signs, frame.links, tip, setting)
     if frame.between is not None:
-        given = Given(frame.links, frame.between, frame.tool)
+        given = Given(frame.links, frame.between, frame.tool_point)
         branches, gaps, turns = polished(given, branches, tip, turning, (allowed, tolerance), setting)
         measured = list(zip(gaps, turns, strict=True))
     else:
@@ -222,19 +222,27 @@ def proposed_at_ends(arm: Arm, goal: Pose) -> list[tuple[Scalar, ...]]:
     return [motors(_joint_values(frame, joints)) for joints in found]
 
 
-def _set(arm: Arm, goal: Pose, now) -> tuple[Frame, Pose, Setting]:
+def _set(arm: Arm, goal: Pose, fallback: tuple[Scalar, ...] | None) -> tuple[Frame, Pose, Setting]:
     """The arm, the goal as its family is asked for it, and the rest that a family is handed."""
     dtype = jnp.result_type(goal.position[0])
     frame = prepare(arm)
-    tiny = TINY * float(np.finfo(dtype).eps)
-    now = coupled(arm, (0.0,) * arm.n if now is None else now)
-    fill = tuple(_now(link, value, frame, dtype) for link, value in zip(frame.links, now, strict=True))
+    zero = TINY * float(np.finfo(dtype).eps)
+    values = coupled(arm, (0.0,) * arm.n if fallback is None else fallback)
+    joints = tuple(
+        _fallback(link, value, frame, dtype) for link, value in zip(frame.links, values, strict=True)
+    )
     scaled = Pose(goal.rotation, vector.scale(frame.per_reach, goal.position))
     tip = jax.tree.map(pin, _asked(arm.task, frame, scaled))
     return (
         frame,
         tip,
-        Setting(fill, frame.tool, tiny, vector.plus(tiny / 8, frame.off), frame.off),
+        Setting(
+            fallback=joints,
+            tool_point=frame.tool_point,
+            zero_tolerance=zero,
+            length_uncertainty=vector.plus(zero / 8, frame.correction_size),
+            correction_size=frame.correction_size,
+        ),
     )
 
 
@@ -272,7 +280,7 @@ def _row(entries) -> jax.Array:
     return jnp.stack([jnp.asarray(x) for x in entries]) if isinstance(entries, np.ndarray) else entries
 
 
-def _now(link: Link, value: Scalar, frame: Frame, dtype) -> Angle | Slide:
+def _fallback(link: Link, value: Scalar, frame: Frame, dtype) -> Angle | Slide:
     if link.kind == "P":
         return Slide(jnp.asarray(frame.per_reach * value, dtype))
     total = jnp.asarray(link.theta + value, dtype)
@@ -289,7 +297,7 @@ def _mismatch(frame: Frame, family: Family, branch: Branch) -> tuple[Scalar, Sca
     joints = [placed(link, joint) for link, joint in zip(frame.links, branch.joints, strict=True)]
     chain = list(zip(frame.links, joints, strict=True))
     end = len(chain) - family.last
-    goal, tool = branch.seen, frame.tool
+    goal, tool = branch.seen, frame.tool_point
     for link, joint in reversed(chain[end:]):
         goal = strip(goal, link, joint)
         tool = _carried(tool, link, joint)

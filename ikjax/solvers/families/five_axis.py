@@ -43,8 +43,8 @@ from ikjax.solvers.steps.shoulder import Shoulder, shoulder
 from ikjax.solvers.steps.triangle import Triangle, triangle
 
 BEND = 8
-"""How much more than `off` bends the elbow: four joints' errors add up in its reach, and an elbow that starts
-straight keeps one of its two answers from being found."""
+"""How much more than `correction_size` bends the elbow: four joints' errors add up in its reach, and an elbow
+that starts straight keeps one of its two answers from being found."""
 
 LARGEST_MEND = 0.1
 """[rad] What rounding takes from a double root is less, unless it is too near axis 1 to count."""
@@ -106,7 +106,7 @@ def branches(
                 three.a,
                 up * s1 * side * facing * height,
                 setting,
-                BEND * setting.off,
+                BEND * setting.correction_size,
             )
             joints = joints_of(signs, base, arm, (p_sin, p_cos), roll, setting)
             margin = jnp.minimum(base.margin, arm.margin)

@@ -82,8 +82,8 @@ def hand_of(
     signs: FiveAxisSigns, links: tuple[Link, ...], goal: Pose, side: Scalar, setting: Setting
 ) -> Hand:
     """Joint 1 on one side, and the nearest hand that it allows."""
-    x, y, _ = setting.tool
-    point = vector.add(goal.position, vector.rotate(goal.rotation, setting.tool))
+    x, y, _ = setting.tool_point
+    point = vector.add(goal.position, vector.rotate(goal.rotation, setting.tool_point))
     off = vector.rotate(goal.rotation, (x, y, 0.0))
     hand = _hand_at(signs, links, goal, vector.subtract(point, off), side, setting)
     if isinstance(x, float) and isinstance(y, float) and x == y == 0:
@@ -107,7 +107,7 @@ def _hand_at(
     one, two, three, four = links[:4]
     s, c = one.sin_alpha, one.cos_alpha
     lateral = plus(plus(two.d, times(c2, three.d)), times(c23, four.d))
-    lateral = plus(lateral, times(times(c23, four.cos_alpha), setting.tool[2]))
+    lateral = plus(lateral, times(times(c23, four.cos_alpha), setting.tool_point[2]))
     x, y, z = foot
     lateral = times(safe.divide(1, s), plus(lateral, minus(times(c, plus(z, -one.d)))))
     base = shoulder(x, y, lateral, side, setting)
@@ -123,7 +123,7 @@ def _hand_at(
 
 def wrist_of(signs: FiveAxisSigns, four: Link, setting: Setting) -> tuple[Scalar, Scalar]:
     """From axis 4 to the foot, at pitch zero."""
-    return four.a, times(-float(signs.cos_alpha23), times(four.sin_alpha, setting.tool[2]))
+    return four.a, times(-float(signs.cos_alpha23), times(four.sin_alpha, setting.tool_point[2]))
 
 
 def turned(point: tuple[Scalar, Scalar], angle: SinCos) -> tuple[Scalar, Scalar]:

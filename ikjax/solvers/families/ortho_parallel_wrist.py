@@ -52,7 +52,7 @@ def branches(
     upper, fore_x, fore_y = two.a, three.a, -c2 * four.d * three.sin_alpha
     fore = safe.norm(fore_x, fore_y)
     # Joints 2 and 3 settle whether a wrist of other twists reaches at all.
-    noise = setting.off if square else setting.noise
+    noise = setting.correction_size if square else setting.length_uncertainty
     twists = (four.sin_alpha, four.cos_alpha, five.sin_alpha, five.cos_alpha)
     facing, pointing = safe.sign(one.a), s4 * safe.sign(four.d)
     slots: dict[int, Branch] = {}

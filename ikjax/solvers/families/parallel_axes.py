@@ -76,8 +76,8 @@ def branches(
     # other way about the same axes, seen from the tip.
     solve = _inner if place == 3 else _last
     back = tuple(seen_from(tip, axis) for axis in axes[::-1])
-    now = tuple(Angle(-j.sin, j.cos, -j.value) for j in setting.now[::-1])
-    setting = setting._replace(now=now)
+    fallback = tuple(Angle(-j.sin, j.cos, -j.value) for j in setting.fallback[::-1])
+    setting = setting._replace(fallback=fallback)
     along = [sign * along[-1] for sign in along[::-1]]
     found = solve(back, poses.inverse(tip), poses.inverse(goal), split, along, setting)
     slots = []
@@ -174,7 +174,7 @@ def _planar(axes, tip: Pose, goal: Pose, along, setting: Setting, first: int):
         heading_of(plane, tip, goal),
         plane.point(goal.position),
         plane.point(tip.position),
-        setting._replace(now=setting.now[first : first + 3]),
+        setting._replace(fallback=setting.fallback[first : first + 3]),
     )
 
 
@@ -185,7 +185,7 @@ def _turn_to(
     cosine, sine, _ = component(after, axis.along, before)
     sine = -sine if backwards else sine
     size = sine * sine + cosine * cosine
-    free = size <= setting.tiny**2
+    free = size <= setting.zero_tolerance**2
     weight = safe.reciprocal_sqrt(size)
     return setting.filled(joint, free, sine * weight, cosine * weight), free
 
@@ -220,7 +220,7 @@ def _pairs(equations: tuple[Equation, Equation], split: PairSplit, joints, setti
         # The right side of the second equation follows the goal along h, one for one.
         cos_b, sin_b = ec - ac * cosine - bc * sine, es - as_ * cosine - bs * sine
         slope = 2 * scale * abs(weight * (one.c * sin_b - one.d * cos_b))
-        return value / jnp.maximum(slope, setting.tiny)
+        return value / jnp.maximum(slope, setting.zero_tolerance)
 
     pairs = []
     in_order = (found.rising[0], found.falling[0], found.rising[1], found.falling[1])
@@ -270,7 +270,7 @@ def _side_of_close_pair(equations, first: SinCos, rise: int, setting: Setting) -
     turned = jnp.where(factor > 0, -1, 1).astype(value.dtype)
     told = jnp.where(abs(value) > noise, safe.sign(value), rise * safe.sign(slope)) * turned
     rest = with_b.e - with_b.a * cosine - with_b.b * sine
-    root = cosine_sine(with_b.c, with_b.d, rest, told, noise=setting.noise)
+    root = cosine_sine(with_b.c, with_b.d, rest, told, noise=setting.length_uncertainty)
     return pin(root.sin), pin(root.cos)
 
 
@@ -314,7 +314,7 @@ STEPS = 8
 def _split_pairs(one: Equation, two: Equation, split: PairSplit, joints, setting: Setting) -> list[Pair]:
     """Where B's coefficients are proportional: the combination without B, and the one with most of it."""
     alone, with_b = _separated(one, two)
-    noise = setting.noise
+    noise = setting.length_uncertainty
     if split != PairSplit.EXACTLY:
         # So that the true root lies between the two starts.
         noise = noise + abs(alone.c) + abs(alone.d)

@@ -60,8 +60,8 @@ def reversed_branches(
 ) -> tuple[Branch, ...]:
     """All slots of an arm whose wrist is at its base."""
     table, turned = reverse(links, goal)
-    now = (*setting.now[::-1],)
-    found = branches(signs, table, turned, setting._replace(now=now))
+    fallback = (*setting.fallback[::-1],)
+    found = branches(signs, table, turned, setting._replace(fallback=fallback))
     return tuple(slot._replace(joints=slot.joints[::-1], seen=goal) for slot in found)
 
 

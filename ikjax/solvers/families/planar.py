@@ -70,7 +70,7 @@ def branches(
     plane = plane_of(kinds, axes)
     where = plane.point(goal.position)
     if len(kinds) == 2:
-        at = vector.add(tip.position, vector.rotate(tip.rotation, setting.tool))
+        at = vector.add(tip.position, vector.rotate(tip.rotation, setting.tool_point))
         ways = two_joints(kinds, axes, plane, signs, where, plane.point(at), setting)
     else:
         heading = heading_of(plane, tip, goal)
@@ -145,12 +145,12 @@ def _two_turns(c, signs, where, tip, setting) -> tuple[Way, ...]:
     first, second = _minus(c[1], c[0]), _minus(tip, c[1])
     upper, fore = safe.norm(*first), safe.norm(*second)
     x, y = _minus(where, c[0])
-    now = setting.now[0]
+    fallback = setting.fallback[0]
     start = (safe.divide(first[1], upper), safe.divide(first[0], upper))
-    filled = Angle(*_sum((signs[0] * now.sin, now.cos), start), 0.0)
+    filled = Angle(*_sum((signs[0] * fallback.sin, fallback.cos), start), 0.0)
     ways = []
     for left in (1, -1):
-        arm = triangle(x, y, upper, fore, left, setting, now=filled)
+        arm = triangle(x, y, upper, fore, left, setting, fallback=filled)
         t1 = _sum((arm.shoulder_sin, arm.shoulder_cos), (-start[0], start[1]))
         bend = (safe.divide(second[1], fore), safe.divide(second[0], fore))
         t2 = _sum(_sum((arm.elbow_sin, arm.elbow_cos), start), (-bend[0], bend[1]))

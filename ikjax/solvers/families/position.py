@@ -17,5 +17,5 @@ def branches(
 
     Arguments as in `pieper`.
     """
-    ways = regional(links, setting.tool, goal.position, signs.split, setting)
+    ways = regional(links, setting.tool_point, goal.position, signs.split, setting)
     return tuple(Branch(way.joints, goal, way.margin, way.continuum) for way in ways)

@@ -29,7 +29,7 @@ def branches(signs: ScaraSigns, links: tuple[Link, ...], goal: Pose, setting: Se
     turning = [i for i in range(4) if i != k]
     plane = plane_of("RRR", tuple(axes[i] for i in turning))
     slide = signs[k] * vector.dot(plane.up, vector.subtract(goal.position, tip.position))
-    three = setting._replace(now=tuple(setting.now[i] for i in turning))
+    three = setting._replace(fallback=tuple(setting.fallback[i] for i in turning))
     ways = three_joints(
         "RRR",
         tuple(axes[i] for i in turning),
@@ -64,7 +64,7 @@ def turret_branches(
     wanted = _carried(along, tip, goal)
     cosine, sine, _ = component(wanted, axes[0].along, along)
     weight = safe.reciprocal_sqrt(sine * sine + cosine * cosine)
-    free = weight <= setting.tiny
+    free = weight <= setting.zero_tolerance
     turn = setting.filled(0, free, sine * weight, cosine * weight)
     seen = pose_turned(axes[0], -turn.sin, turn.cos, goal)
     # Any direction square to the axes will do for x.
@@ -79,7 +79,7 @@ def turret_branches(
         heading_of(plane, tip, seen),
         plane.point(seen.position),
         plane.point(tip.position),
-        setting._replace(now=setting.now[1:]),
+        setting._replace(fallback=setting.fallback[1:]),
     )
     # No joint moves the direction along axis 1, nor the tip along the other three.
     tilt = vector.dot(axes[0].along, vector.subtract(wanted, along))

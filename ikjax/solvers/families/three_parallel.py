@@ -10,9 +10,8 @@ Steps:
 1. shoulder: the point where axes 5 and 6 meet lies `lateral` beside axis 1's plane: joint 1.
 2. axis 6 against axis 2 gives joint 5; what is left of axis 6 in the plane gives the whole pitch
    t2 + c2 t3 + c2 c3 t4, and the rotation about axis 6 gives joint 6.
-3. triangle: a2 and a3 reach axis 4 in the plane: joints 2, 3, then 4.
-Where axis 6 is parallel to axis 2 the pitch is arbitrary; it follows `now`, moved as little as
-lets the triangle close.
+3. triangle: a2 and a3 reach axis 4 in the plane: joints 2, 3, then 4. Where axis 6 is parallel to axis 2 the
+pitch is arbitrary; it is the one of `Setting.fallback`, moved as little as lets the triangle close.
 
 Bits: front and up as in `ortho_parallel_wrist`; noflip: sin(t5) has the sign of up s1 c2 c3 s4
 (and of a1, where it is not zero).
@@ -50,7 +49,7 @@ def branches(
     lateral = s1 * (two.d + c2 * three.d + c23 * four.d)
     facing = safe.sign(one.a)
     hand = (four.a, -c23 * s4 * five.d)  # from axis 4 to where 5 and 6 meet, at pitch 0
-    pitch_now = _whole_pitch(setting.now, c2, c23)
+    pitch_fallback = _whole_pitch(setting.fallback, c2, c23)
     turned = setting.angle
     slots: dict[int, Branch] = {}
     for first in (0, 1, 4, 5):
@@ -59,7 +58,7 @@ def branches(
         t5_side = wrist * facing * (up * s1 * c23 * s4)
         seen = unwind(goal, one, Joint(base.turn.sin, base.turn.cos, one.d))
         links_up = Links(two.a, three.a, hand, one.a)
-        pitch = _pitch(seen, links_up, s5 * t5_side, pitch_now, setting)
+        pitch = _pitch(seen, links_up, s5 * t5_side, pitch_fallback, setting)
         t1 = _turned_on(base.turn, s1, pitch.on, setting)
         seen = _seen_turned(seen, one.a, pitch.on, setting)
         v, _, n = vector.transpose(seen.rotation)
@@ -78,7 +77,7 @@ def branches(
                 three.a,
                 up * s1 * side * facing * height,
                 setting,
-                setting.off,
+                setting.correction_size,
             )
             # c23 t4 = pitch - (t2 + elbow)
             fore_sin = arm.shoulder_sin * arm.elbow_cos + arm.shoulder_cos * arm.elbow_sin
@@ -120,7 +119,7 @@ class Pitch(NamedTuple):
     """Axis 6 is parallel to axis 2, so that every pitch is the goal's."""
 
 
-def _pitch(seen: Pose, links: Links, side: Scalar, now: Angle, setting: Setting) -> Pitch:
+def _pitch(seen: Pose, links: Links, side: Scalar, fallback: Angle, setting: Setting) -> Pitch:
     """The pitch that axis 6 asks for, or one as good to rounding for which the triangle closes.
 
     Axis 6 near axis 2 makes the pitch noise; the wrist near its cylinder, or near axis 1, makes
@@ -131,23 +130,23 @@ def _pitch(seen: Pose, links: Links, side: Scalar, now: Angle, setting: Setting)
         seen: The goal seen from frame 1.
         links: The triangle.
         side: +1 or -1 times the part of axis 6 in the plane points along the pitch.
-        now: The pitch where it is arbitrary.
+        fallback: The pitch where it is arbitrary.
         setting: What counts as zero.
     """
-    tiny = setting.tiny
+    tolerance = setting.zero_tolerance
     n = tuple(row[2] for row in seen.rotation)
     x, y, z = seen.position
     rho_squared = n[0] * n[0] + n[1] * n[1]
-    free = rho_squared <= tiny * tiny
+    free = rho_squared <= tolerance * tolerance
     weight = side * safe.reciprocal_sqrt(rho_squared)
-    p_sin = jnp.where(free, now.sin, n[1] * weight)
-    p_cos = jnp.where(free, now.cos, n[0] * weight)
-    loose = rho_squared <= 4 * setting.tiny
+    p_sin = jnp.where(free, fallback.sin, n[1] * weight)
+    p_cos = jnp.where(free, fallback.cos, n[0] * weight)
+    loose = rho_squared <= 4 * setting.zero_tolerance
     new_sin, new_cos, moved = _closing(x, y, links, p_sin, p_cos)
     new_sin, new_cos = pin(new_sin), pin(new_cos)
     # Turned on about y1, axis 6 has (level, n[1]) in the plane: along the new pitch.
     size_squared = n[0] * n[0] + n[2] * n[2]
-    steep, tilted = jnp.abs(new_sin) > tiny, size_squared > tiny
+    steep, tilted = jnp.abs(new_sin) > tolerance, size_squared > tolerance
     # A quotient that several need is one that XLA holds: each goes through a mask.
     level = jnp.where(steep, n[1] * new_cos / jnp.where(steep, new_sin, 1), 0)
     beside = safe.sign(n[2]) * safe.sqrt(size_squared - level * level)
@@ -160,7 +159,7 @@ def _pitch(seen: Pose, links: Links, side: Scalar, now: Angle, setting: Setting)
         & steep
         & tilted
         & (level * level <= size_squared)
-        & (slip <= setting.tiny)
+        & (slip <= setting.zero_tolerance)
         & (side * n[1] * new_sin >= 0)
     )
     on_sin, on_cos = pin(jnp.where(able, root_sin, 0)), pin(jnp.where(able, root_cos, 1))
@@ -190,10 +189,10 @@ def _seen_turned(seen: Pose, a1: Scalar, on: SinCos, setting: Setting) -> Pose:
     return Pose(vector.transpose((ahead, vector.cross(along, ahead), along)), (x - a1, y, z))
 
 
-def _whole_pitch(now: tuple[Angle, ...], c2: int, c23: int) -> Angle:
+def _whole_pitch(fallback: tuple[Angle, ...], c2: int, c23: int) -> Angle:
     """t2 + c2 t3 + c23 t4."""
-    sine, cosine = now[1].sin, now[1].cos
-    for sign, joint in ((c2, now[2]), (c23, now[3])):
+    sine, cosine = fallback[1].sin, fallback[1].cos
+    for sign, joint in ((c2, fallback[2]), (c23, fallback[3])):
         sine, cosine = (
             sine * joint.cos + sign * cosine * joint.sin,
             cosine * joint.cos - sign * sine * joint.sin,

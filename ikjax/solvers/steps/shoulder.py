@@ -37,8 +37,8 @@ def shoulder(x: Scalar, y: Scalar, lateral: Scalar, side: Scalar, setting: Setti
         is the wrist's distance from the cylinder that it cannot enter; without a lateral offset
         there is none, the step cannot fail, and the margin is infinite.
     """
-    root = cosine_sine(-y, x, lateral, side, noise=setting.noise)
-    free = (x * x + y * y <= setting.tiny**2) & (abs(lateral) <= setting.tiny)
+    root = cosine_sine(-y, x, lateral, side, noise=setting.length_uncertainty)
+    free = (x * x + y * y <= setting.zero_tolerance**2) & (abs(lateral) <= setting.zero_tolerance)
     turn = setting.filled(0, free | root.free, root.sin, root.cos)
     margin = jnp.where(lateral == 0, jnp.inf, root.margin)
     return Shoulder(turn, pin(root.height), margin, free)

@@ -37,7 +37,7 @@ def triangle(
     left: Scalar,
     setting: Setting,
     noise: float = 0.0,
-    now: Angle | None = None,
+    fallback: Angle | None = None,
 ) -> Triangle:
     """Angles s and e with upper (cos s, sin s) + fore (cos(s + e), sin(s + e)) = (x, y).
 
@@ -48,13 +48,13 @@ def triangle(
         noise: As in `cosine_sine`: what rounding may have taken from the wrist's distance to either
             circle. It is put back where a later step may fail.
         setting: What counts as zero.
-        now: Fills s where it is arbitrary: equal links folded onto the shoulder. Joint 2 by default.
+        fallback: Fills s where it is arbitrary: equal links folded onto the shoulder. Joint 2 by default.
 
     Returns:
         Both angles as sines and cosines, clamped to the nearer end where the triangle cannot
         close, and the margin: how far the wrist is inside the ring, negative outside.
     """
-    now, tiny = setting.now[1] if now is None else now, setting.tiny
+    fallback, tolerance = setting.fallback[1] if fallback is None else fallback, setting.zero_tolerance
     span_squared = x * x + y * y
     span = safe.sqrt(span_squared)
     less, more = upper - fore, upper + fore
@@ -72,11 +72,11 @@ def triangle(
     u, v = jnp.where(near, less + fore * folded, more - fore * straight), fore * sine
     weight = safe.reciprocal_sqrt(span_squared * (u * u + v * v))
     low, high = ring(upper, fore)
-    free = (span_squared <= tiny * tiny) & (low <= tiny)
+    free = (span_squared <= tolerance * tolerance) & (low <= tolerance)
     lost = free | (weight == 0)
     return Triangle(
-        jnp.where(lost, now.sin, (y * u - x * v) * weight),
-        jnp.where(lost, now.cos, (x * u + y * v) * weight),
+        jnp.where(lost, fallback.sin, (y * u - x * v) * weight),
+        jnp.where(lost, fallback.cos, (x * u + y * v) * weight),
         sine,
         cosine,
         jnp.minimum(high - span, span - low),
@@ -103,7 +103,7 @@ def leaned(arm: Triangle, upper: Scalar, fore: Scalar, lean: Scalar, setting: Se
     bend = safe.divide(lean * span_squared, upper * (upper + fore * arm.elbow_cos))
     first, second = jnp.abs(arm.elbow_sin * bend), jnp.abs(arm.elbow_cos) * bend * bend / 2
     slip = abs(upper * fore) * (first + second) * safe.reciprocal_sqrt(span_squared)
-    able = (slip <= setting.tiny) & (jnp.abs(lean) + jnp.abs(bend) <= _SMALL)
+    able = (slip <= setting.zero_tolerance) & (jnp.abs(lean) + jnp.abs(bend) <= _SMALL)
     lean, bend = jnp.where(able, lean, 0), jnp.where(able, bend, 0)
     shoulder_sin, shoulder_cos = _on(arm.shoulder_sin, arm.shoulder_cos, lean - bend)
     elbow_sin, elbow_cos = _on(arm.elbow_sin, arm.elbow_cos, bend)

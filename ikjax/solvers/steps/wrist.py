@@ -37,11 +37,11 @@ def square_wrist(
         setting: Fills t4 where it is arbitrary, that is where axes 4 and 6 line up.
     """
     s4, s5 = signs
-    angle, now, tiny = setting.angle, setting.now[3], setting.tiny
+    angle, fallback, tolerance = setting.angle, setting.fallback[3], setting.zero_tolerance
     rho_squared = n[0] * n[0] + n[1] * n[1]
-    free = rho_squared <= tiny * tiny
+    free = rho_squared <= tolerance * tolerance
     weight = side * s5 * safe.reciprocal_sqrt(rho_squared)
-    first = angle(jnp.where(free, now.sin, n[1] * weight), jnp.where(free, now.cos, n[0] * weight))
+    first = angle(jnp.where(free, fallback.sin, n[1] * weight), jnp.where(free, fallback.cos, n[0] * weight))
     sine, cosine = side * safe.sqrt(rho_squared), -s4 * s5 * n[2]
     middle = angle(sine, cosine)
     last = angle(
@@ -74,22 +74,22 @@ def general_wrist(
         As `square_wrist`; the margin is in sines, |sin(alpha4) sin(alpha5)| at most.
     """
     s4, c4, s5, c5 = twists
-    angle, now, tiny = setting.angle, setting.now[3], setting.tiny
+    angle, fallback, tolerance = setting.angle, setting.fallback[3], setting.zero_tolerance
     along = c4 * c5 - n[2]
     cosine = jnp.clip(along * safe.divide(1, s4 * s5), -1, 1)
     margin = abs(s4 * s5) - jnp.abs(along)
     height = side * agreed_root((1 - cosine) * (1 + cosine))
     u, v = s5 * height, -(c4 * s5 * cosine + s4 * c5)
     rho_squared = (n[0] * n[0] + n[1] * n[1]) * (u * u + v * v)
-    free = rho_squared <= tiny**4
+    free = rho_squared <= tolerance**4
     weight = safe.reciprocal_sqrt(rho_squared)
     u, v = u * weight, v * weight
     answers = []
     for flip in (1, -1):
         sine = flip * height
         first = angle(
-            jnp.where(free, now.sin, flip * (n[1] * u) - n[0] * v),
-            jnp.where(free, now.cos, flip * (n[0] * u) + n[1] * v),
+            jnp.where(free, fallback.sin, flip * (n[1] * u) - n[0] * v),
+            jnp.where(free, fallback.cos, flip * (n[0] * u) + n[1] * v),
         )
         # x seen from the frame before joint 5, then before joint 6.
         ahead, aside = first.cos * x[0] + first.sin * x[1], first.cos * x[1] - first.sin * x[0]

@@ -56,7 +56,7 @@ def roots(chain: Chain, p: Poly, setting: Setting, span: Scalar | None = None) -
         return _slides(p, setting, lambda change, _: length(change, -1))
     thirds = []
     for side in (1, -1):
-        root = cosine_sine(p.u, p.v, times(-1.0, p.one), side, noise=setting.noise)
+        root = cosine_sine(p.u, p.v, times(-1.0, p.one), side, noise=setting.length_uncertainty)
         turn = setting.filled(2, root.free, root.sin, root.cos)
         margin = length(root.margin, safe.sign(p.one))
         thirds.append(Third(turn, turn.cos, turn.sin, margin, root.free))
@@ -92,7 +92,9 @@ def _slides(p: Poly, setting: Setting, length: Callable[[Scalar, Scalar], Scalar
 
 def second_degree(chain: Chain, p: Poly, setting: Setting, slope: Slope) -> list[Third]:
     if chain.kinds[2] == "P":
-        return _slides(p, setting, lambda change, q: change / jnp.maximum(slope(q, 0.0), setting.tiny))
+        return _slides(
+            p, setting, lambda change, q: change / jnp.maximum(slope(q, 0.0), setting.zero_tolerance)
+        )
     return circle_roots(chain, harmonics_of(p), setting, lambda sine, cosine: slope(cosine, sine))
 
 
@@ -137,7 +139,7 @@ def circle_roots(
     thirds = []
 
     def length(value: Scalar, sine: Scalar, cosine: Scalar) -> Scalar:
-        return value / jnp.maximum(weight * slope(sine, cosine), setting.tiny)
+        return value / jnp.maximum(weight * slope(sine, cosine), setting.zero_tolerance)
 
     in_order = (found.rising[0], found.falling[0], found.rising[1], found.falling[1])
     for root, rise in zip(in_order, (1, -1, 1, -1), strict=True):

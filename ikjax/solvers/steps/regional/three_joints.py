@@ -328,8 +328,8 @@ def _turns(a: Scalar, b: Scalar, c: Scalar, setting: Setting):
     """Joint 2 from a cos + b sin = c, both ways."""
     answers = []
     for side in (1, -1):
-        root = cosine_sine(a, b, c, side, noise=setting.noise)
-        free = (a * a + b * b <= setting.tiny**2) & (abs(c) <= setting.tiny)
+        root = cosine_sine(a, b, c, side, noise=setting.length_uncertainty)
+        free = (a * a + b * b <= setting.zero_tolerance**2) & (abs(c) <= setting.zero_tolerance)
         turn = setting.filled(1, free | root.free, root.sin, root.cos)
         answers.append((turn, root.margin, free))
     return answers
