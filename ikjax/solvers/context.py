@@ -1,4 +1,4 @@
-"""What a family is handed besides a goal, and one closed-form answer as it hands it on."""
+"""What a family's kernel gets besides the arm and the goal, and what it returns: one closed-form answer."""
 
 import functools
 from collections.abc import Sequence
@@ -19,9 +19,10 @@ from ikjax.core.xla import pin
 
 
 class Slide(NamedTuple):
-    """Where a sliding joint stands, in units of the reach."""
+    """The value of a sliding joint."""
 
     value: Scalar
+    """In units of the reach."""
 
 
 Joints = tuple[Any, ...]
@@ -29,14 +30,14 @@ Joints = tuple[Any, ...]
 
 
 def placed(link: Link, joint: Angle | Slide) -> Joint:
-    """The link with its joint where it stands."""
+    """The joint of a link at a given value, for forward kinematics."""
     if isinstance(joint, Slide):
         return Joint(*known_sincos(link.theta), plus(link.d, joint.value))
     return Joint(joint.sin, joint.cos, link.d)
 
 
 def moved_on(joint: Angle | Slide, step: Scalar) -> Angle | Slide:
-    """The joint after a small step, without its angle's value."""
+    """The joint after a small step [rad, or reaches]; of an angle only the sine and cosine."""
     if isinstance(joint, Slide):
         return Slide(joint.value + step)
     return Angle(*nudged(joint.sin, joint.cos, step), ())
@@ -60,7 +61,7 @@ class Setting(NamedTuple):
 
     @property
     def rounding(self) -> float:
-        """Of the goals' type: eps."""
+        """The machine epsilon of the goals' type."""
         return self.zero_tolerance / TINY
 
     def close_pairs(self, split: RegionalSplit | PairSplit) -> bool:
@@ -80,7 +81,8 @@ class Setting(NamedTuple):
     def between(
         self, joint: int, before: tuple[Scalar, Scalar], after: tuple[Scalar, Scalar], sign: int = 1
     ) -> tuple[Angle, jax.Array]:
-        """The joint that turns one vector of a plane to the direction of another, and whether any does.
+        """The joint that turns one vector of a plane to the direction of another, and whether it is
+        arbitrary.
 
         Args:
             joint: Which one fills the angle where a vector is zero.
@@ -102,22 +104,23 @@ class Setting(NamedTuple):
 
 
 class Branch(NamedTuple):
-    """Joint values of one slot, before they are measured."""
+    """The answer of one slot, before it is measured."""
 
     joints: Joints
-    """The DH angle of each turning joint, how far each sliding one has slid."""
+    """The DH angle of each turning joint, the displacement of each sliding one."""
     seen: Pose
     """The goal seen from the frame after the first joints, as many as `Family.first` says."""
     margin: Scalar
-    """Clearance from the fold, in units of the reach."""
+    """Signed distance from the fold, in units of the reach; negative where the answer is clamped."""
     continuum: jax.Array
     """The slot stands for a one-parameter family of answers."""
     miss: Scalar = 0.0
-    """How far the goal is from all that joints so few can do, in units of the reach and rad."""
+    """How far the goal is from the poses that fewer than six joints can attain, in units of the reach and
+    rad. Zero for six joints."""
 
 
 def in_bits(masks: Sequence[jax.Array], dtype) -> jax.Array:
-    """Masks as bits of one number, the first lowest."""
+    """Masks as bits of one number, the first as the lowest bit."""
     one = np.dtype(dtype).type
     return functools.reduce(jnp.add, [jnp.where(m, one(2**k), one(0)) for k, m in enumerate(masks)])
 

@@ -1,22 +1,24 @@
-"""The `five_axis` arms, for a goal that they need not reach: the point held, the orientation nearest.
+"""The `five_axis` arms, for any goal: the point is attained, the orientation is the nearest.
 
-Branches: those of `five_axis`. Arguments, frames and signs are the same.
+Branches and bits: those of `five_axis`. Arguments, frames and signs are the same.
 
 Steps:
-1. foot: where the tool point, in the goal's orientation, has its foot on axis 5. The point of a tool on
-   axis 5 is its own foot, however the tool is rolled.
-2. shoulder: the foot stands a known way along axis 2, so joint 1 brings it into the arm's plane.
+1. foot: the foot of the tool point on axis 5, in the goal's orientation. A tool point on axis 5 is its own
+   foot, however the tool is rolled.
+2. shoulder: the foot is at a known distance along axis 2, so joint 1 brings it into the arm's plane.
 3. pitch: what is left of the orientation is Rz(pitch) Rx(tilt) Rz(roll). With half angles its quaternion's
    overlap with the goal's (w, x, y, z) is
        cos(tilt/2) (w cos s + z sin s) + sin(tilt/2) (x cos d + y sin d),   s, d = (pitch +- roll) / 2,
-   two terms, largest each on its own. As an angle of the goal's matrix, the best pitch turns axis 5 in the
-   plane to under the wanted one. Off the best pitch the overlap only falls, to either side alike.
-4. reach: the links reach axis 4 where its distance from axis 2 is within their ring, which is an interval of
-   pitches to either side of the foot's direction; the best pitch goes to the nearest end. Where no pitch will
-   do, that end points straight at the foot, or away from it, and the triangle ends as near as it can.
+   two terms, each of which is maximized on its own. As an angle of the goal's matrix, at the best pitch axis
+   5 is along the projection of the wanted one onto the plane. On either side of the best pitch the overlap
+   falls, and equally.
+4. reach: the links reach axis 4 where its distance from axis 2 is within their ring. This is an interval of
+   pitches on either side of the foot's direction, and the best pitch is moved to the nearest end. Where no
+   pitch will do, that end points straight at the foot, or away from it, and the triangle ends as near as it
+   can.
 5. roll: the best for that pitch, from the trace. Then the triangle: joints 2, 3, 4.
-A tool point off axis 5 has its foot where the attained orientation has it: all steps but the triangle are
-gone through again, and the point is held to what `ROUNDS` leave.
+The foot of a tool point off axis 5 depends on the attained orientation: all steps but the triangle are a
+fixed-point iteration, and the point is attained to what `ROUNDS` of it leave.
 
 Source: Craig, Introduction to Robotics, 3rd ed., section 4.7, turns the goal's tool axis into the arm's
 plane: that is step 3 where axis 5 is square to axis 4. The rest is ours.
@@ -39,7 +41,7 @@ from ikjax.solvers.steps.shoulder import Shoulder, shoulder
 from ikjax.solvers.steps.triangle import ring, triangle
 
 ROUNDS = 3
-"""Times that the foot is looked for where the tool point is off axis 5."""
+"""Iterations for the foot where the tool point is off axis 5."""
 
 
 class Hand(NamedTuple):
@@ -127,16 +129,24 @@ def wrist_of(signs: FiveAxisSigns, four: Link, setting: Setting) -> tuple[Scalar
 
 
 def turned(point: tuple[Scalar, Scalar], angle: SinCos) -> tuple[Scalar, Scalar]:
+    """A vector of a plane, turned by an angle."""
     (x, y), (sine, cosine) = point, angle
     return plus(times(x, cosine), times(-sine, y)), plus(times(x, sine), times(cosine, y))
 
 
 def _reachable(pitch: SinCos, foot, wrist, two: Link, three: Link) -> SinCos:
-    """The nearest pitch at which the links reach axis 4."""
+    """The nearest pitch at which the links reach axis 4.
+
+    Args:
+        pitch: The best pitch.
+        foot: In frame 1.
+        wrist: From axis 4 to the foot, at pitch zero.
+        two, three: The links.
+    """
     low, high = ring(two.a, three.a)
     (x, y), (u, v) = foot, turned(wrist, pitch)
     far, span = x * x + y * y, plus(times(wrist[0], wrist[0]), times(wrist[1], wrist[1]))
-    # |foot - (u, v)| is within the ring where their product is between these.
+    # |foot - (u, v)| is within the ring where their dot product is between two bounds (law of cosines).
     product, cross = x * u + y * v, x * v - y * u
     middle = (far + span) / 2
     most = safe.sqrt(far * span)
@@ -144,7 +154,7 @@ def _reachable(pitch: SinCos, foot, wrist, two: Link, three: Link) -> SinCos:
     wanted = jnp.clip(wanted, -most, most)
     height = safe.sign(cross) * safe.sqrt((most - wanted) * (most + wanted))
     scale = safe.divide(1, far * span)
-    # Turned by the angle from what is to what is wanted, both seen from the foot's direction.
+    # The pitch is turned from the present angle to the wanted one, both against the foot's direction.
     sine = (height * product - wanted * cross) * scale
     cosine = (wanted * product + height * cross) * scale
     stays = (wanted == product) | (scale == 0)
@@ -155,7 +165,10 @@ def _reachable(pitch: SinCos, foot, wrist, two: Link, three: Link) -> SinCos:
 def roll_of(
     signs: FiveAxisSigns, rotation: vector.Matrix, pitch: SinCos, four: Link, setting: Setting
 ) -> SinCos:
-    """The roll that brings Rz(pitch) Rx(tilt) Rz(roll) nearest to a rotation seen from frame 1."""
+    """The roll that brings Rz(pitch) Rx(tilt) Rz(roll) nearest to a rotation seen from frame 1.
+
+    It maximizes the trace, which is a cosine and sine of the roll.
+    """
     (p_sin, p_cos), c23 = pitch, float(signs.cos_alpha23)
     ahead = [p_cos * rotation[0][k] + p_sin * rotation[1][k] for k in (0, 1)]
     aside = [p_cos * rotation[1][k] - p_sin * rotation[0][k] for k in (0, 1)]
@@ -167,7 +180,7 @@ def roll_of(
 
 
 def _carried(signs: FiveAxisSigns, links: tuple[Link, ...], hand: Hand, tool) -> vector.Vector:
-    """What stands off axis 5, as the hand holds it, seen from frame 0."""
+    """A vector in the hand square to axis 5, seen from frame 0."""
     one, four = links[0], links[3]
     c23 = float(signs.cos_alpha23)
     t_sin, t_cos = times(c23, four.sin_alpha), times(c23, four.cos_alpha)

@@ -2,14 +2,18 @@
 
 Branches: 2, or 1 where two joints slide. Tasks: "planar_pose", "planar_position".
 
-Frames: the plane is square to the turning axes, its coordinates are taken at DH zero. c1, c2, c3 are
-where the axes pierce it, u1, u2, u3 the directions of the slides, and the tip stands at the origin
-of its own frame. `signs` says which axes point up from the plane.
+Frames: the plane is square to the turning axes, and its coordinates are taken at DH zero. c1, c2, c3 are the
+points where the axes pierce it, u1, u2, u3 the directions of the slides, and the tip is the origin of the
+last frame. `signs` says which axes point up from the plane.
 
-Steps: the heading of the goal tells the sum of the angles, and with it where the joint nearest to
-the tip has to be; what is left is a triangle (RR), a slide and a circle (RP, PR), or two slides.
+Steps:
+1. The heading of the goal gives the sum of the angles. If the last joint turns, it also gives the position of
+   its axis.
+2. Two joints are left: a triangle (RR), a line and a circle (RP, PR), or two slides (PP).
+3. The last turning joint from the sum of the angles.
 
-Bits: the elbow left (0) or right of the line from joint to joint; the longer slide first.
+Bit: left or right: the elbow, against the line from joint to joint. Where a joint slides: long or short, the
+larger slide first.
 
 Source: Craig, Introduction to Robotics, 3rd ed., equations (4.6)-(4.34), the geometric solution;
 `elbow_algebraic` is the algebraic one. The slides are ours.
@@ -42,10 +46,13 @@ class Plane(NamedTuple):
     up: Vector
 
     def point(self, v: Vector) -> Point:
+        """The coordinates of a vector in the plane."""
         return vector.dot(self.x, v), vector.dot(self.y, v)
 
 
 class Way(NamedTuple):
+    """One answer."""
+
     joints: Joints
     margin: Scalar
     continuum: Scalar
@@ -75,7 +82,7 @@ def branches(
     else:
         heading = heading_of(plane, tip, goal)
         ways = three_joints(kinds, axes, plane, signs, heading, where, plane.point(tip.position), setting)
-    # The goal as far as the plane allows it: what lies outside the task is not measured.
+    # The goal projected onto what the task controls: the rest is not measured.
     level = tip.position
     asked = goal
     if len(kinds) == 2:
@@ -103,8 +110,11 @@ def three_joints(kinds, axes, plane, signs, heading, where, tip, setting) -> tup
     """The slots of three joints.
 
     Args:
-        heading: Sine and cosine of the whole turn.
-        where, tip: The tip wanted, and at DH zero.
+        kinds, axes, plane, signs: The arm.
+        heading: Sine and cosine of the sum of the angles.
+        where: The goal of the tip.
+        tip: The tip at DH zero.
+        setting: Fallback and tolerances.
     """
     c = [plane.point(axis.point) for axis in axes]
     u = [plane.point(axis.along) for axis in axes]
@@ -112,7 +122,7 @@ def three_joints(kinds, axes, plane, signs, heading, where, tip, setting) -> tup
         return _two_slides(kinds, c, u, signs, heading, where, tip, setting)
     if kinds == "RRP":
         return _slide_last(c, u[2], signs, heading, where, tip, setting)
-    # The last joint turns: where it has to stand is known.
+    # The last joint turns: the position of its axis is known.
     wrist = _minus(where, _turned(heading, _minus(tip, c[2])))
     ways = two_joints(kinds[:2], axes, plane, signs, wrist, c[2], setting)
     answers = []
@@ -128,13 +138,13 @@ def three_joints(kinds, axes, plane, signs, heading, where, tip, setting) -> tup
 
 
 def two_joints(kinds, axes, plane, signs, where, tip, setting) -> tuple[Way, ...]:
-    """The slots of two joints that bring the tip where it is wanted."""
+    """The slots of two joints that bring the tip where it is wanted; arguments as in `three_joints`."""
     c = [plane.point(axis.point) for axis in axes]
     u = [plane.point(axis.along) for axis in axes]
     if kinds == "RR":
         return _two_turns(c, signs, where, tip, setting)
     if kinds == "PP":
-        first, second = _along(_minus(where, tip), u[0], u[1])
+        first, second = _components(_minus(where, tip), u[0], u[1])
         return (Way((Slide(first), Slide(second)), jnp.inf, False),)
     if kinds == "RP":
         return _turn_slide(c[0], u[1], signs[0], where, tip, setting)
@@ -174,7 +184,7 @@ def elbow_algebraic(x: Scalar, y: Scalar, upper: Scalar, fore: Scalar, left: int
 
 
 def _turn_slide(c, u, sign, where, tip, setting) -> tuple[Way, ...]:
-    """Turn about c, then slide along u: the slide makes the distance, the turn the direction."""
+    """Turn about c, then slide along u: the slide gives the distance from c, the turn the direction."""
     arm, gap = _minus(tip, c), _minus(where, c)
     along, beside = _dot(arm, u), _cross(u, arm)
     far_squared = _dot(gap, gap)
@@ -189,7 +199,7 @@ def _turn_slide(c, u, sign, where, tip, setting) -> tuple[Way, ...]:
 
 
 def _slide_turn(c, u, sign, where, tip, setting) -> tuple[Way, ...]:
-    """Slide along u, then turn about c, which slides along: a line meets a circle."""
+    """Slide along u, then turn about c, which slides with it: a line meets a circle."""
     arm, gap = _minus(tip, c), _minus(where, c)
     ways = []
     for q, margin in _line_and_circle(u, gap, _dot(arm, arm), setting):
@@ -226,13 +236,13 @@ def _two_slides(kinds, c, u, signs, heading, where, tip, setting) -> tuple[Way, 
     gap = _minus(_minus(where, _turned(heading, _minus(tip, c[k]))), c[k])
     # Slides beyond the turn are turned with it.
     slides = [u[i] if i < k else _turned(heading, u[i]) for i in range(3) if i != k]
-    joints = [Slide(q) for q in _along(gap, *slides)]
+    joints = [Slide(q) for q in _components(gap, *slides)]
     joints.insert(k, turn)
     return (Way(tuple(joints), abs(_cross(*slides)), False),)
 
 
-def _along(gap: Point, u: Point, v: Point) -> Point:
-    """gap = p u + q v."""
+def _components(gap: Point, u: Point, v: Point) -> Point:
+    """(p, q) with gap = p u + q v, by Cramer's rule."""
     weight = safe.divide(1, _cross(u, v))
     return _cross(gap, v) * weight, _cross(u, gap) * weight
 

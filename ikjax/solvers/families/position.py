@@ -1,6 +1,15 @@
 """Three joints that bring the tool point where it is wanted, whatever its orientation.
 
-Branches: those of `regional`. Task: "position".
+Branches: those of `regional.three_joints`; 4, 2 or 1. Task: "position".
+
+Frames: standard DH. The tool point is given in frame 3.
+
+Steps:
+1. regional: joints 1, 2, 3 bring the tool point where the goal has it.
+
+Bits: those of `regional.three_joints`.
+
+Source: as there.
 """
 
 from ikjax.arm.forward import Link
@@ -13,7 +22,7 @@ from ikjax.solvers.steps.regional.three_joints import regional
 def branches(
     signs: PositionSigns, links: tuple[Link, ...], goal: Pose, setting: Setting
 ) -> tuple[Branch, ...]:
-    """All slots for one goal, of which only the position is looked at.
+    """All slots for one goal, of which only the position is used.
 
     Arguments as in `pieper`.
     """

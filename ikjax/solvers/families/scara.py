@@ -2,11 +2,17 @@
 
 Branches: 2. Task: "pose"; goals outside the arm's four-dimensional set are not valid.
 
-Steps: SCARA (one slide along the same axes, anywhere among them): the slide makes the height, the
-rest is `planar`. Turning base: joint 1 turns the three axes to where the goal has them, the rest is
-`planar` in the plane that it has turned.
+Frames: axes at DH zero, seen from frame 0 (`steps.lines`).
 
-Bit: the elbow left (0) or right of the line from the first of the three joints to the last.
+Steps of a SCARA, which has one slide along the same direction, anywhere among the axes:
+1. The height of the goal gives the slide.
+2. planar: the three turning joints.
+
+Steps of a turning base:
+1. Joint 1 turns the direction of the three axes to where the goal has it.
+2. planar: the three joints, in the plane that joint 1 has turned.
+
+Bit: left or right: the elbow, against the line from the first of the three joints to the last.
 
 Source: Craig, Introduction to Robotics, 3rd ed., section 4.4 for the plane; the rest is ours.
 """
@@ -50,7 +56,7 @@ def branches(signs: ScaraSigns, links: tuple[Link, ...], goal: Pose, setting: Se
 
 
 def _carried(along: Vector, tip: Pose, goal: Pose) -> Vector:
-    """Where the goal has what is a direction of the arm at DH zero, and turns with the last joint."""
+    """A direction of the last frame, given as it is at DH zero, as the goal has it."""
     return vector.rotate(goal.rotation, vector.rotate(vector.transpose(tip.rotation), along))
 
 
@@ -81,7 +87,8 @@ def turret_branches(
         plane.point(tip.position),
         setting._replace(fallback=setting.fallback[1:]),
     )
-    # No joint moves the direction along axis 1, nor the tip along the other three.
+    # No joint changes the component of the direction along axis 1, nor moves the tip along the other three
+    # axes.
     tilt = vector.dot(axes[0].along, vector.subtract(wanted, along))
     miss = safe.norm(tilt, vector.dot(along, vector.subtract(seen.position, tip.position)))
     return tuple(Branch((turn, *way.joints), goal, way.margin, way.continuum | free, miss) for way in ways)

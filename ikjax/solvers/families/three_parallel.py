@@ -2,22 +2,26 @@
 
 Branches: 8. Universal Robots' arms and the lectures' elbow manipulator.
 
-Frames: standard DH. s1, s4, s5 are the signs of sin(alpha), c2 and c3 those of cos(alpha); an
-antiparallel axis is c = -1, and `up` is +1 where axis 1 points up. Frame 1 stands on axis 2; the
-arm's plane is its x, y plane.
+Frames: standard DH. s1, s4, s5 are the signs of sin(alpha), c2 and c3 those of cos(alpha), where -1 is an
+antiparallel axis, and `up` is +1 where axis 1 points up. Frame 1 has its origin on axis 2; the arm's plane is
+its x, y plane.
 
 Steps:
-1. shoulder: the point where axes 5 and 6 meet lies `lateral` beside axis 1's plane: joint 1.
-2. axis 6 against axis 2 gives joint 5; what is left of axis 6 in the plane gives the whole pitch
+1. shoulder: the point where axes 5 and 6 meet is at the distance `lateral` from the plane of axis 1 and x1:
+   joint 1.
+2. wrist: the angle of axis 6 to axis 2 gives joint 5; the part of axis 6 in the plane gives the whole pitch
    t2 + c2 t3 + c2 c3 t4, and the rotation about axis 6 gives joint 6.
-3. triangle: a2 and a3 reach axis 4 in the plane: joints 2, 3, then 4. Where axis 6 is parallel to axis 2 the
-pitch is arbitrary; it is the one of `Setting.fallback`, moved as little as lets the triangle close.
+3. triangle: a2 and a3 reach axis 4 in the plane: joints 2, 3, then 4.
 
-Bits: front and up as in `ortho_parallel_wrist`; noflip: sin(t5) has the sign of up s1 c2 c3 s4
-(and of a1, where it is not zero).
+Where axis 6 is parallel to axis 2 the pitch is arbitrary. It is then the one of `Setting.fallback`, changed
+as little as lets the triangle close.
+
+Bits:
+1. front or back, 2. up or down: as in `ortho_parallel_wrist`, for the point where axes 5 and 6 meet.
+3. noflip or flip: sin(t5) has the sign of up s1 c2 c3 s4 (and of a1, where that is not zero), or the other.
 
 Source: the order of the steps is that of the lectures' elbow manipulator (ME/SE 740, lecture 18);
-the offsets, the signs and the singular rule are ours.
+the offsets, the signs and the rule for singular poses are ours.
 """
 
 from typing import NamedTuple
@@ -59,8 +63,8 @@ def branches(
         seen = unwind(goal, one, Joint(base.turn.sin, base.turn.cos, one.d))
         links_up = Links(two.a, three.a, hand, one.a)
         pitch = _pitch(seen, links_up, s5 * t5_side, pitch_fallback, setting)
-        t1 = _turned_on(base.turn, s1, pitch.on, setting)
-        seen = _seen_turned(seen, one.a, pitch.on, setting)
+        t1 = _turned_further(base.turn, s1, pitch.further, setting)
+        seen = _seen_further(seen, one.a, pitch.further, setting)
         v, _, n = vector.transpose(seen.rotation)
         t5_sin = t5_side * vector.norm((n[0], n[1], 0.0))
         t5_cos = -c23 * s4 * s5 * n[2]
@@ -98,7 +102,7 @@ def branches(
 
 
 class Links(NamedTuple):
-    """What stands in the arm's plane, in units of the reach."""
+    """The links in the arm's plane, in units of the reach."""
 
     upper: Scalar
     fore: Scalar
@@ -113,25 +117,25 @@ class Pitch(NamedTuple):
 
     sin: Scalar
     cos: Scalar
-    on: SinCos
-    """How far joint 1 is turned on, about y1, so that this pitch is the goal's."""
+    further: SinCos
+    """A further turn of joint 1, about y1, that makes this pitch the goal's; the identity as a rule."""
     free: Scalar
     """Axis 6 is parallel to axis 2, so that every pitch is the goal's."""
 
 
 def _pitch(seen: Pose, links: Links, side: Scalar, fallback: Angle, setting: Setting) -> Pitch:
-    """The pitch that axis 6 asks for, or one as good to rounding for which the triangle closes.
+    """The pitch of axis 6, or one that is as good to within rounding and for which the triangle closes.
 
-    Axis 6 near axis 2 makes the pitch noise; the wrist near its cylinder, or near axis 1, makes
-    joint 1 noise and the pitch with it. Either freedom may serve the triangle, and where it cannot
-    close otherwise it must: the answer is there, but rounding has moved it.
+    Where axis 6 is nearly parallel to axis 2, the pitch is rounding noise. Where the wrist is near its
+    cylinder, or near axis 1, joint 1 is noise and the pitch with it. Where the triangle does not close,
+    either of these freedoms is used: there is an answer, but rounding has moved it.
 
     Args:
         seen: The goal seen from frame 1.
-        links: The triangle.
+        links: The links in the plane.
         side: +1 or -1 times the part of axis 6 in the plane points along the pitch.
         fallback: The pitch where it is arbitrary.
-        setting: What counts as zero.
+        setting: Tolerances.
     """
     tolerance = setting.zero_tolerance
     n = tuple(row[2] for row in seen.rotation)
@@ -144,10 +148,10 @@ def _pitch(seen: Pose, links: Links, side: Scalar, fallback: Angle, setting: Set
     loose = rho_squared <= 4 * setting.zero_tolerance
     new_sin, new_cos, moved = _closing(x, y, links, p_sin, p_cos)
     new_sin, new_cos = pin(new_sin), pin(new_cos)
-    # Turned on about y1, axis 6 has (level, n[1]) in the plane: along the new pitch.
+    # After the further turn about y1, the part of axis 6 in the plane is (level, n[1]), along the new pitch.
     size_squared = n[0] * n[0] + n[2] * n[2]
     steep, tilted = jnp.abs(new_sin) > tolerance, size_squared > tolerance
-    # A quotient that several need is one that XLA holds: each goes through a mask.
+    # XLA keeps a quotient that several values need; each of them goes through a mask of its own.
     level = jnp.where(steep, n[1] * new_cos / jnp.where(steep, new_sin, 1), 0)
     beside = safe.sign(n[2]) * safe.sqrt(size_squared - level * level)
     weight = jnp.where(tilted, 1 / jnp.where(tilted, size_squared, 1), 0)
@@ -162,20 +166,20 @@ def _pitch(seen: Pose, links: Links, side: Scalar, fallback: Angle, setting: Set
         & (slip <= setting.zero_tolerance)
         & (side * n[1] * new_sin >= 0)
     )
-    on_sin, on_cos = pin(jnp.where(able, root_sin, 0)), pin(jnp.where(able, root_cos, 1))
+    further_sin, further_cos = pin(jnp.where(able, root_sin, 0)), pin(jnp.where(able, root_cos, 1))
     moved &= loose | able
     p_sin, p_cos = jnp.where(moved, new_sin, p_sin), jnp.where(moved, new_cos, p_cos)
-    return Pitch(pin(p_sin), pin(p_cos), (on_sin, on_cos), free)
+    return Pitch(pin(p_sin), pin(p_cos), (further_sin, further_cos), free)
 
 
-def _turned_on(t1: Angle, s1: int, on: SinCos, setting: Setting) -> Angle:
-    sine, cosine = s1 * on[0], on[1]
+def _turned_further(t1: Angle, s1: int, further: SinCos, setting: Setting) -> Angle:
+    sine, cosine = s1 * further[0], further[1]
     return setting.angle(t1.sin * cosine + t1.cos * sine, t1.cos * cosine - t1.sin * sine)
 
 
-def _seen_turned(seen: Pose, a1: Scalar, on: SinCos, setting: Setting) -> Pose:
-    """The goal seen from frame 1 after joint 1 is turned on: all turns back about y1, through axis 1."""
-    sine, cosine = on
+def _seen_further(seen: Pose, a1: Scalar, further: SinCos, setting: Setting) -> Pose:
+    """The goal seen from frame 1 after the further turn of joint 1: it turns back about y1, around axis 1."""
+    sine, cosine = further
 
     def back(v):
         turned = (v[0] * cosine - v[2] * sine, v[1], v[0] * sine + v[2] * cosine)
@@ -185,7 +189,7 @@ def _seen_turned(seen: Pose, a1: Scalar, on: SinCos, setting: Setting) -> Pose:
     ahead, along = back(ahead), back(along)
     x, y, z = seen.position
     x, y, z = back((x + a1, y, z))
-    # The third column is cheaper to make again than to pin.
+    # Computing the third column again costs less than pinning it.
     return Pose(vector.transpose((ahead, vector.cross(along, ahead), along)), (x - a1, y, z))
 
 
@@ -203,10 +207,10 @@ def _whole_pitch(fallback: tuple[Angle, ...], c2: int, c23: int) -> Angle:
 def _closing(
     x: Scalar, y: Scalar, links: Links, p_sin: Scalar, p_cos: Scalar
 ) -> tuple[Scalar, Scalar, Scalar]:
-    """The pitch moved as little as lets the links reach axis 4, and whether it had to be.
+    """The pitch changed as little as lets the links reach axis 4, and whether it was changed.
 
-    Axis 4 lies at (x, y) less the hand turned by the pitch; its distance from the shoulder is
-    brought into the ring by the law of cosines, on the side where the hand already is.
+    Axis 4 is at (x, y) less the hand turned by the pitch. Its distance from the shoulder is brought into the
+    ring by the law of cosines, on the side where the hand is.
     """
     # The point to reach, turned so that the hand at pitch 0 lies along x.
     hand = links.hand

@@ -2,9 +2,16 @@
 
 Branches: 2 (noflip, flip).
 
-With n and x the third and first column of N = Rz(t4) Rx(alpha4) Rz(t5) Rx(alpha5) Rz(t6):
-t5 from n along axis 4, then t4 from the rest of n, then t6 from x, which makes up for whatever
-t4 was chosen when axes 4 and 6 line up.
+Frames: standard DH. n and x are the third and first column of the rotation that the wrist must make,
+N = Rz(t4) Rx(alpha4) Rz(t5) Rx(alpha5) Rz(t6).
+
+Steps:
+1. t5 from the component of n along axis 4.
+2. t4 from the rest of n. Where axes 4 and 6 are parallel, t4 is arbitrary.
+3. t6 from x, for the t4 that was chosen.
+
+Bit: noflip has sin(t5) of the sign `side`, flip of the other sign.
+
 Source: Craig, Introduction to Robotics, 3rd ed., section 4.6; the general twists are ours.
 """
 
@@ -20,6 +27,8 @@ from ikjax.solvers.context import Setting
 
 
 class Wrist(NamedTuple):
+    """One answer."""
+
     joints: tuple[Angle, Angle, Angle]
     margin: Scalar
     continuum: Scalar
@@ -34,7 +43,7 @@ def square_wrist(
         n, x: Third and first column of the rotation that the wrist must make.
         signs: sin(alpha4), sin(alpha5).
         side: Sign of sin(t5) in the first answer; the second turns t4 and t6 half round.
-        setting: Fills t4 where it is arbitrary, that is where axes 4 and 6 line up.
+        setting: Its fallback is t4 where that is arbitrary, which is where axes 4 and 6 are parallel.
     """
     s4, s5 = signs
     angle, fallback, tolerance = setting.angle, setting.fallback[3], setting.zero_tolerance
@@ -64,7 +73,7 @@ def general_wrist(
     side: Scalar,
     setting: Setting,
 ) -> tuple[Wrist, Wrist]:
-    """Both answers of a wrist of any twists; not every rotation is within its reach.
+    """Both answers of a wrist of any twists. It does not reach every rotation.
 
     Args:
         twists: sin(alpha4), cos(alpha4), sin(alpha5), cos(alpha5).
@@ -96,7 +105,7 @@ def general_wrist(
         aside, up = c4 * aside + s4 * x[2], c4 * x[2] - s4 * aside
         ahead, aside = cosine * ahead + sine * aside, cosine * aside - sine * ahead
         aside = c5 * aside + s5 * up
-        # Of length one in that plane, except where t5 is clamped.
+        # (ahead, aside) has length one, except where t5 is clamped.
         size = safe.reciprocal_sqrt(ahead * ahead + aside * aside)
         last = angle(aside * size, jnp.where(size == 0, 1, ahead * size))
         answers.append(Wrist((first, angle(sine, cosine), last), margin, free))
@@ -104,7 +113,10 @@ def general_wrist(
 
 
 def shortfall(n: Vector, twists: tuple[Scalar, Scalar, Scalar, Scalar]) -> Scalar:
-    """How much n must rise along axis 4 for a wrist of these twists to reach it; zero where it does."""
+    """How much larger the component of n along axis 4 must be for a wrist of these twists to reach it.
+
+    Zero where it reaches n as it is. Arguments as in `general_wrist`.
+    """
     s4, c4, s5, c5 = twists
     along = c4 * c5 - n[2]
     return along - jnp.clip(along, -abs(s4 * s5), abs(s4 * s5))

@@ -2,20 +2,22 @@
 
 Branches: 4, 2 or 1.
 
-Frames: standard DH. The point is fixed in the frame after joint 3; seen from frame 2 it is
-f = (f1, f2, f3), affine in (cos t3, sin t3) or in the slide q3; seen from the link that joint 2
-carries it is h, from frame 1 it is g, h turned by joint 2.
+Frames: standard DH. The point is fixed in the frame after joint 3. Seen from frame 2 it is
+f = (f1, f2, f3), affine in (cos t3, sin t3) or in the slide q3. Seen from the link that joint 2
+carries it is h. Seen from frame 1 it is g, which is h turned by joint 2.
 
 Steps:
-1. Joint 1 and then joint 2 are eliminated, which leaves one equation for joint 3: a quartic, or
-   where the arm's own numbers make it split, one of the second degree or the first.
+1. Eliminate joint 1 and then joint 2. This leaves one equation for joint 3: a quartic, or where the
+   arm's own numbers make it split (`RegionalSplit`), one of the second degree or the first.
 2. Joint 2 from g and h: unique after a quartic, else two.
-3. Joint 1 from the point and g, unique.
+3. Joint 1 from the point and g: unique.
 
-Bits: after a quartic, whether it rises or falls in joint 3 at the root, which after two turning joints is
-the sign of the determinant of the three joints' motions and changes at folds only; then the order of
-the two from -pi, where they may swap. Otherwise the sign of the derivative of each equation at its
-root, first joint 2, then joint 3.
+Bits after a quartic:
+1. rising or falling: the sign of its derivative with respect to joint 3 at the root. After two turning joints
+   that is the sign of the determinant of the Jacobian of the three joints, and changes at folds only.
+2. low or high: the order of the two such roots from -pi, where they may swap.
+Bits otherwise: j2+ or j2-, then j3+ or j3-: the sign of the derivative of each equation at its root. A bit is
+left out where its equation has one root.
 
 Source: Pieper, The kinematics of manipulators under computer control (1968), after Craig,
 Introduction to Robotics, 3rd ed., section 4.6; sliding joints and the elimination in circle form are ours.
@@ -39,9 +41,9 @@ from ikjax.solvers.steps.regional.point_chain import Chain, Poly, chain_of
 from ikjax.solvers.steps.regional.third_joint import (
     Third,
     circle_roots,
+    distance_moved,
     half_angle_harmonics,
     harmonics_of,
-    moved,
     roots,
     second_degree,
 )
@@ -63,10 +65,10 @@ def regional(
 
     Args:
         links: The first three, lengths in units of the reach.
-        point: Fixed in frame 3 without joint 3's own turn and slide.
+        point: The point, given in frame 3.
         wanted: Where it has to be, seen from frame 0.
         split: How the equation for joint 3 splits.
-        setting: Fills what is arbitrary.
+        setting: Fallback and tolerances.
     """
     chain = chain_of(links, point)
     eliminate = {"RR": _two_turns, "RP": _turn_slide, "PR": _slide_turn, "PP": _two_slides}
@@ -78,18 +80,24 @@ def regional(
 def _polished(
     chain: Chain, point: Vector, wanted: Vector, way: Regional, nearly: bool, setting: Setting
 ) -> Regional:
-    """A Newton step on the joints themselves: the elimination squares lengths, and rounding with them.
+    """The joints after a Newton step: the elimination squares lengths, and rounding errors with them.
 
-    Close pairs of roots, of an equation that nearly splits, lose twice as many digits: they take four steps.
+    Args:
+        chain: The three links.
+        point, wanted: As in `regional`.
+        way: What the elimination gave.
+        nearly: The equation nearly splits. Its roots come in close pairs, which lose twice as many digits:
+            they take four steps.
+        setting: Tolerances.
     """
     joints = way.joints
     for _ in range(4 if nearly else 1):
-        steps = _newton(chain.links, joints, point, wanted)
+        steps = _newton_steps(chain.links, joints, point, wanted)
         size = functools.reduce(jnp.maximum, (abs(step) for step in steps))
         # A larger step is not the correction of a small error: it would lead to another branch.
         small = size < setting.rounding**0.25
         if nearly:
-            # What is left of a complex pair may be a real one that rounding hides, but only nearby.
+            # A pair that came out as complex may be real but for rounding; then its roots are nearby.
             small = size < jnp.where(way.margin > 0, 0.3, 4 * setting.rounding**0.25)
         else:
             small &= way.margin > -(setting.rounding**0.5)
@@ -99,8 +107,10 @@ def _polished(
     return way._replace(joints=joints)
 
 
-def _newton(links: tuple[Link, ...], joints: Joints, point: Vector, wanted: Vector) -> tuple[Scalar, ...]:
-    """How far each joint has to move on, to first order; zero where their motions are dependent."""
+def _newton_steps(
+    links: tuple[Link, ...], joints: Joints, point: Vector, wanted: Vector
+) -> tuple[Scalar, ...]:
+    """The Newton step of each joint, by Cramer's rule; zero where the Jacobian is singular."""
     placed_joints = tuple(map(placed, links, joints))
     first, second, third = (
         advance(IDENTITY, link, joint) for link, joint in zip(links, placed_joints, strict=True)
@@ -110,6 +120,7 @@ def _newton(links: tuple[Link, ...], joints: Joints, point: Vector, wanted: Vect
     from_zero = _applied(first, from_one)
 
     def motion(joint, tip):
+        """Column of the Jacobian: the velocity of the point, seen from the frame of the joint's axis."""
         return (0.0, 0.0, 1.0) if isinstance(joint, Slide) else (-tip[1], tip[0], 0.0)
 
     # All seen from frame 1.
@@ -133,11 +144,13 @@ def _applied(pose: Pose, point: Vector) -> Vector:
 
 
 def _two_turns(chain: Chain, wanted: Vector, split: RegionalSplit, setting: Setting):
+    """Joints 1 and 2 turn."""
     one = chain.links[0]
     x, y, z = wanted[0], wanted[1], wanted[2] - one.d
     s, c = one.sin_alpha, one.cos_alpha
     span_squared = x * x + y * y + z * z
-    # 2 a1 g1 = ahead and sin(alpha1) g2 = up
+    # Seen from frame 1: 2 a1 g1 = ahead, from the distance to the shoulder, and sin(alpha1) g2 = up, from the
+    # height. With g1^2 + g2^2 = h1^2 + h2^2 joint 2 is eliminated.
     ahead = Poly(plus(span_squared, -times(one.a, one.a))).less(chain.h_squared)
     up = Poly(z).less(chain.h[2].times(c))
     answers = []
@@ -154,23 +167,30 @@ def _two_turns(chain: Chain, wanted: Vector, split: RegionalSplit, setting: Sett
             size = h1 * h1 + h2 * h2
             g1 = safe.divide(ahead.at(third.u, third.v), 2 * one.a)
             g2 = safe.divide(up.at(third.u, third.v), s)
+            # A quotient by next to nothing: its size from g1^2 + g2^2 = h1^2 + h2^2, its sign apart.
             if nearly and split == RegionalSplit.NEARLY_MEET:
-                g1 = _side(ahead, third, chain, one.a, setting) * safe.sqrt(size - g2 * g2)
+                g1 = _sign_in_close_pair(ahead, third, chain, one.a, setting) * safe.sqrt(size - g2 * g2)
             if nearly and split == RegionalSplit.NEARLY_PARALLEL:
-                g2 = _side(up, third, chain, s, setting) * safe.sqrt(size - g1 * g1)
+                g2 = _sign_in_close_pair(up, third, chain, s, setting) * safe.sqrt(size - g1 * g1)
             second, free = setting.between(1, (h1, h2), (g1, g2))
             seconds = [(second, jnp.inf, free)]
         elif split == RegionalSplit.MEET:
-            # A height of s makes one of its right side.
+            # The equation was divided by s: times |s| its margin is a height again.
             seconds = [
                 (second, abs(s) * margin, free)
-                for second, margin, free in _turns(h2, h1, safe.divide(up.at(third.u, third.v), s), setting)
+                for second, margin, free in _both_turns(
+                    h2, h1, safe.divide(up.at(third.u, third.v), s), setting
+                )
             ]
         else:
             gap = ahead.at(third.u, third.v)
             seconds = [
-                (second, moved(safe.sqrt(span_squared), abs(2 * one.a) * margin, safe.sign(gap)), free)
-                for second, margin, free in _turns(h1, -h2, safe.divide(gap, 2 * one.a), setting)
+                (
+                    second,
+                    distance_moved(safe.sqrt(span_squared), abs(2 * one.a) * margin, safe.sign(gap)),
+                    free,
+                )
+                for second, margin, free in _both_turns(h1, -h2, safe.divide(gap, 2 * one.a), setting)
             ]
         for second, margin, free in seconds:
             g1, g2 = second.cos * h1 - second.sin * h2, second.sin * h1 + second.cos * h2
@@ -181,27 +201,29 @@ def _two_turns(chain: Chain, wanted: Vector, split: RegionalSplit, setting: Sett
     return tuple(answers)
 
 
-def _side(p: Poly, third: Third, chain: Chain, factor: Scalar, setting: Setting) -> Scalar:
+def _sign_in_close_pair(p: Poly, third: Third, chain: Chain, factor: Scalar, setting: Setting) -> Scalar:
     """The sign of p / factor at a root, where `factor` is so small that p is next to zero there.
 
-    The equation that was solved is p^2 less a square times factor^2, so the roots come in close pairs, one of
-    each sign; where rounding hides it, it is told by which of the two rises.
+    The equation that was solved is p^2 - (factor g)^2 = 0, so its roots come in close pairs, one with p of
+    each sign. Where rounding hides the sign of p, it follows from which of the two roots is rising: there the
+    derivative 2 p p' is positive.
     """
     value = p.at(third.u, third.v)
-    slope = p.rate_at(third.u, third.v, chain.kinds[2] == "R")
-    told = third.rise * safe.sign(slope)
+    derivative = p.rate_at(third.u, third.v, chain.kinds[2] == "R")
+    by_rise = third.rise * safe.sign(derivative)
     # Of a value of size one, half the digits are lost at a double root.
     noise = 4 * setting.rounding**0.5
-    return jnp.where(abs(value) > noise, safe.sign(value), told) * safe.sign(factor)
+    return jnp.where(abs(value) > noise, safe.sign(value), by_rise) * safe.sign(factor)
 
 
 def _quartic_of_two_turns(chain: Chain, ahead: Poly, up: Poly, wanted: Vector, setting: Setting):
+    """Joint 3 from (s ahead)^2 + (a up)^2 = (a s)^2 (h1^2 + h2^2), with a = 2 a1 and s = sin(alpha1)."""
     one = chain.links[0]
     a, s = times(2.0, one.a), one.sin_alpha
     x, y, z = wanted
 
-    def slope(ahead, up):
-        """Of (s ahead)^2 + (a up)^2 in the point, of which ahead is the square and up the height."""
+    def gradient_norm(ahead, up):
+        """Of (s ahead)^2 + (a up)^2 with respect to the point: `ahead` has its square, `up` its height."""
         level, rise = 2 * s * s * ahead, a * a * up
         return 2 * safe.norm(level * x, level * y, level * z + rise)
 
@@ -209,8 +231,9 @@ def _quartic_of_two_turns(chain: Chain, ahead: Poly, up: Poly, wanted: Vector, s
         left = ahead.square().times(times(s, s)).plus(up.square().times(times(a, a)))
         whole = left.less(chain.across_squared.times(times(times(a, a), times(s, s))))
         return circle_roots(
-            chain, harmonics_of(whole), setting, lambda v, u: slope(ahead.at(u, v), up.at(u, v))
+            chain, harmonics_of(whole), setting, lambda v, u: gradient_norm(ahead.at(u, v), up.at(u, v))
         )
+    # Of the fourth degree in the slide q3: its coefficients, the constant first.
     square = [0.0] * 5
     for i, p in enumerate((ahead.one, ahead.u, ahead.uu)):
         for j, q in enumerate((ahead.one, ahead.u, ahead.uu)):
@@ -219,15 +242,16 @@ def _quartic_of_two_turns(chain: Chain, ahead: Poly, up: Poly, wanted: Vector, s
     for i, p in enumerate((rest.one, rest.u, rest.uu)):
         square[i] = plus(square[i], p)
 
-    def half_angle_slope(sine, cosine):
+    def half_angle_gradient_norm(sine, cosine):
         """Times cos(t / 2)^4, as the polynomial is."""
         square = (1 + cosine) / 2
-        return square * slope(ahead.at_half_angle(sine, cosine), up.at_half_angle(sine, cosine))
+        return square * gradient_norm(ahead.at_half_angle(sine, cosine), up.at_half_angle(sine, cosine))
 
-    return circle_roots(chain, half_angle_harmonics(square), setting, half_angle_slope)
+    return circle_roots(chain, half_angle_harmonics(square), setting, half_angle_gradient_norm)
 
 
 def _turn_slide(chain: Chain, wanted: Vector, split: RegionalSplit, setting: Setting):
+    """Joint 1 turns, joint 2 slides. Seen from frame 1, g3 is eliminated by the height z = s g2 + c g3."""
     one, two = chain.links[:2]
     x, y, z = wanted[0], wanted[1], wanted[2] - one.d
     s, c = one.sin_alpha, one.cos_alpha
@@ -248,15 +272,15 @@ def _turn_slide(chain: Chain, wanted: Vector, split: RegionalSplit, setting: Set
         aside = g2.less(Poly(times(s, z))).times(safe.divide(1, c))
         square = ahead.square().plus(aside.square()).less(Poly(around))
 
-        def slope(u, v):
+        def gradient_norm(u, v):
             slant = safe.divide(aside.at(u, v) * s, c)
             return 2 * safe.sqrt(around + slant * slant)
 
-        for third in second_degree(chain, square, setting, slope):
+        for third in second_degree(chain, square, setting, gradient_norm):
             g3 = safe.divide(z - s * g2.at(third.u, third.v), c)
             if setting.close_pairs(split):
                 gap = around - ahead.at(third.u, third.v) ** 2
-                side = _side(g2.less(Poly(times(s, z))), third, chain, c, setting)
+                side = _sign_in_close_pair(g2.less(Poly(times(s, z))), third, chain, c, setting)
                 g3 = safe.divide(c * g2.at(third.u, third.v) - side * safe.sqrt(gap), s)
             answers.append((third, g3, third.margin))
     ways = []
@@ -269,6 +293,7 @@ def _turn_slide(chain: Chain, wanted: Vector, split: RegionalSplit, setting: Set
 
 
 def _slide_turn(chain: Chain, wanted: Vector, split: RegionalSplit, setting: Setting):
+    """Joint 1 slides, joint 2 turns. Seen from frame 1, g1 is known, and y = c g2 - s g3 has no joint 1."""
     one = chain.links[0]
     s, c = one.sin_alpha, one.cos_alpha
     sine, cosine = known_sincos(one.theta)
@@ -283,20 +308,20 @@ def _slide_turn(chain: Chain, wanted: Vector, split: RegionalSplit, setting: Set
         g2 = across.times(safe.divide(1, c))
         square = g2.square().plus(Poly(g1 * g1)).less(chain.across_squared)
 
-        def slope(u, v):
+        def gradient_norm(u, v):
             slant = safe.divide(g2.at(u, v), c)
             return 2 * safe.sqrt(g1 * g1 + slant * slant)
 
-        thirds = second_degree(chain, square, setting, slope)
+        thirds = second_degree(chain, square, setting, gradient_norm)
     for third in thirds:
         at = [p.at(third.u, third.v) for p in (h1, h2, h3)]
         if split == RegionalSplit.SQUARE:
-            seconds = _turns(at[0], -at[1], g1, setting)
+            seconds = _both_turns(at[0], -at[1], g1, setting)
         else:
             other = g2.at(third.u, third.v)
             if setting.close_pairs(split):
                 gap = at[0] * at[0] + at[1] * at[1] - g1 * g1
-                other = _side(across, third, chain, c, setting) * safe.sqrt(gap)
+                other = _sign_in_close_pair(across, third, chain, c, setting) * safe.sqrt(gap)
             second, free = setting.between(1, (at[0], at[1]), (g1, other))
             seconds = [(second, jnp.inf, free)]
         for second, margin, free in seconds:
@@ -308,6 +333,7 @@ def _slide_turn(chain: Chain, wanted: Vector, split: RegionalSplit, setting: Set
 
 
 def _two_slides(chain: Chain, wanted: Vector, split: RegionalSplit, setting: Setting):
+    """Joints 1 and 2 slide: x = a1 + g1 has joint 3 alone, and the slides follow from y and z."""
     one, two = chain.links[:2]
     s, c = one.sin_alpha, one.cos_alpha
     sine, cosine = known_sincos(one.theta)
@@ -324,8 +350,8 @@ def _two_slides(chain: Chain, wanted: Vector, split: RegionalSplit, setting: Set
     return tuple(ways)
 
 
-def _turns(a: Scalar, b: Scalar, c: Scalar, setting: Setting):
-    """Joint 2 from a cos + b sin = c, both ways."""
+def _both_turns(a: Scalar, b: Scalar, c: Scalar, setting: Setting):
+    """Both roots for joint 2 of a cos(t) + b sin(t) = c, as (joint, margin, whether it is arbitrary)."""
     answers = []
     for side in (1, -1):
         root = cosine_sine(a, b, c, side, noise=setting.length_uncertainty)
