@@ -267,8 +267,8 @@ def _step(given: Given, joints: Joints, goal: Pose, turning: bool, setting: Sett
             motions.append((*map(pin, arm), *axis))
     motions = [m[:rows] for m in motions]
     wanted = wanted[:rows]
-    # The normal equations (J^T J + damping) x = J^T r. The damping, 16 roundings, keeps them regular where the
-    # joints are dependent.
+    # The normal equations (J^T J + damping) x = J^T r. The damping, 16 eps, keeps them regular where the
+    # columns of J are dependent.
     count = len(joints)
     matrix = [[pin(_dot(motions[i], motions[j])) for j in range(i + 1)] for i in range(count)]
     for i in range(count):

@@ -86,10 +86,12 @@ def chain_of(links: tuple[Link, ...], point: Vector) -> Chain:
     """
     _, two, three = links
     kinds = "".join(link.kind for link in links)
+    # The point after link 3's own length, twist and offset, before joint 3 moves it.
     s, c = three.sin_alpha, three.cos_alpha
     along = plus(three.a, point[0])
     aside = plus(times(c, point[1]), times(-s, point[2]))
     above = plus(plus(three.d, times(s, point[1])), times(c, point[2]))
+    # Joint 3 turns it about z, or slides it along z: f.
     if kinds[2] == "R":
         f1, f2, f3 = Poly(0.0, along, times(-1.0, aside)), Poly(0.0, aside, along), Poly(above)
     else:
@@ -97,6 +99,7 @@ def chain_of(links: tuple[Link, ...], point: Vector) -> Chain:
         f1 = Poly(plus(times(cosine, along), times(-sine, aside)))
         f2 = Poly(plus(times(sine, along), times(cosine, aside)))
         f3 = Poly(above, 1.0)
+    # Link 2's own length, twist and offset: h.
     s, c = two.sin_alpha, two.cos_alpha
     h1 = f1.plus(Poly(two.a))
     h2 = f2.times(c).less(f3.times(s))

@@ -60,6 +60,7 @@ def roots(chain: Chain, p: Poly, setting: Setting, span: Scalar | None = None) -
     if chain.kinds[2] == "P":
         return _slide_roots(p, setting, lambda change, _: distance(change, -1))
     thirds = []
+    # One harmonic on the circle: two roots, told apart by the sign of the derivative.
     for side in (1, -1):
         root = cosine_sine(p.u, p.v, times(-1.0, p.one), side, noise=setting.length_uncertainty)
         turn = setting.filled(2, root.free, root.sin, root.cos)
@@ -87,6 +88,7 @@ def _slide_roots(p: Poly, setting: Setting, length: Callable[[Scalar, Scalar], S
     if isinstance(p.uu, float) and p.uu == 0:
         q = pin(safe.divide(times(-1.0, p.one), p.u))
         return [Third(Slide(q), q, 0.0, jnp.inf)]
+    # The quadratic formula about the vertex.
     thirds = []
     per = safe.divide(1, p.uu)
     middle = -p.u * per / 2

@@ -71,6 +71,7 @@ def regional(
         setting: Fallback and tolerances.
     """
     chain = chain_of(links, point)
+    # By the kinds of joints 1 and 2; joint 3 turns or slides in each.
     eliminate = {"RR": _two_turns, "RP": _turn_slide, "PR": _slide_turn, "PP": _two_slides}
     ways = eliminate[chain.kinds[:2]](chain, wanted, split, setting)
     nearly = setting.close_pairs(split)
@@ -194,6 +195,7 @@ def _two_turns(chain: Chain, wanted: Vector, split: RegionalSplit, setting: Sett
             ]
         for second, margin, free in seconds:
             g1, g2 = second.cos * h1 - second.sin * h2, second.sin * h1 + second.cos * h2
+            # The point in the plane square to axis 1, before joint 1 turns it to (x, y).
             arm = (plus(one.a, g1), plus(times(c, g2), times(-s, h3)))
             first, lost = setting.between(0, arm, (x, y))
             joints = (first, second, third.joint)
@@ -262,6 +264,7 @@ def _turn_slide(chain: Chain, wanted: Vector, split: RegionalSplit, setting: Set
     around = x * x + y * y
     answers = []
     if split == RegionalSplit.SQUARE:
+        # c = 0: z = s g2 has joint 3 alone. Then g3 from x^2 + y^2 = (a1 + g1)^2 + g3^2.
         for third in roots(chain, Poly(z).less(g2.times(s)), setting):
             gap = around - ahead.at(third.u, third.v) ** 2
             for side in (1, -1):
@@ -269,6 +272,7 @@ def _turn_slide(chain: Chain, wanted: Vector, split: RegionalSplit, setting: Set
                 margin = jnp.minimum(third.margin, safe.sqrt(around) - abs(ahead.at(third.u, third.v)))
                 answers.append((third, g3, margin))
     else:
+        # g3 = (z - s g2) / c makes c g2 - s g3 = (g2 - s z) / c: `aside`, in x^2 + y^2 = ahead^2 + aside^2.
         aside = g2.less(Poly(times(s, z))).times(safe.divide(1, c))
         square = ahead.square().plus(aside.square()).less(Poly(around))
 
@@ -302,8 +306,10 @@ def _slide_turn(chain: Chain, wanted: Vector, split: RegionalSplit, setting: Set
     h1, h2, h3 = chain.h
     ways = []
     if split == RegionalSplit.SQUARE:
+        # c = 0: y = -s h3 has joint 3 alone. Then joint 2 from g1.
         thirds = roots(chain, Poly(y).plus(h3.times(s)), setting)
     else:
+        # g2 = (y + s h3) / c into g1^2 + g2^2 = h1^2 + h2^2.
         across = Poly(y).plus(h3.times(s))
         g2 = across.times(safe.divide(1, c))
         square = g2.square().plus(Poly(g1 * g1)).less(chain.across_squared)
@@ -344,6 +350,7 @@ def _two_slides(chain: Chain, wanted: Vector, split: RegionalSplit, setting: Set
     ways = []
     for third in roots(chain, Poly(x - one.a).less(g1), setting):
         across, above = g2.at(third.u, third.v), h3.at(third.u, third.v)
+        # Joint 2 slides along z of frame 1 and joint 1 along z of frame 0: y = c g2 - s g3, then z.
         second = Slide(safe.divide(times(c, across) - y, s) - above)
         first = Slide(z - one.d - (times(s, across) + times(c, above + second.value)))
         ways.append(Regional((first, second, third.joint), third.margin, third.free))
