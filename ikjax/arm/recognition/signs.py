@@ -1,8 +1,7 @@
 """What each family's kernel must know about an arm besides its numbers: one NamedTuple a family.
 
 The rules in `recognition.rules` decide them once, from concrete twists and lengths, and the arm carries them
-as `Arm.signs`. They are static: arms of other signs have other programs. Unless a field says otherwise it is
-+1 or -1, the sign of a sine or cosine that the family's rule has found to be 1 or -1, or not zero.
+as `Arm.signs`. They are static: arms of other signs have other programs.
 """
 
 import enum
@@ -81,9 +80,13 @@ class OrthoParallelWristSigns(NamedTuple):
     up: int
     """+1 where axis 1 points up in the world that the arm was built into."""
     sin_alpha1: int
+    """+1 where alpha1 is 90 degrees, -1 where it is -90."""
     cos_alpha2: int
+    """Axis 3 against axis 2: +1 parallel, -1 antiparallel."""
     sin_alpha4: int
+    """The sign of sin(alpha4)."""
     sin_alpha5: int
+    """The sign of sin(alpha5)."""
     square_wrist: int
     """1 where alpha4 and alpha5 are both right angles, else 0."""
 
@@ -92,10 +95,15 @@ class ThreeParallelSigns(NamedTuple):
     up: int
     """+1 where axis 1 points up in the world that the arm was built into."""
     sin_alpha1: int
+    """+1 where alpha1 is 90 degrees, -1 where it is -90."""
     cos_alpha2: int
+    """Axis 3 against axis 2: +1 parallel, -1 antiparallel."""
     cos_alpha3: int
+    """Axis 4 against axis 3: +1 parallel, -1 antiparallel."""
     sin_alpha4: int
+    """+1 where alpha4 is 90 degrees, -1 where it is -90."""
     sin_alpha5: int
+    """+1 where alpha5 is 90 degrees, -1 where it is -90."""
 
     @property
     def cos_alpha23(self) -> int:
@@ -109,7 +117,9 @@ class PieperSigns(NamedTuple):
     split: RegionalSplit
     """How the equation for joint 3 splits."""
     sin_alpha4: int
+    """The sign of sin(alpha4)."""
     sin_alpha5: int
+    """The sign of sin(alpha5)."""
     square_wrist: int
     """1 where alpha4 and alpha5 are both right angles, else 0."""
 
@@ -119,15 +129,18 @@ class ParallelAxesSigns(NamedTuple):
     """The first of the three parallel axes: 1, 2, 3 or 4."""
     split: PairSplit
     """How the equations for joints A and B split."""
-    axis1: int
-    """Each of the three parallel axes against the first of them, so that this one is +1."""
-    axis2: int
-    axis3: int
+    first: int
+    """Of the three parallel axes the first against itself: +1."""
+    second: int
+    """The second against the first: +1 parallel, -1 antiparallel."""
+    third: int
+    """The third against the first, likewise."""
 
 
 class ScaraSigns(NamedTuple):
+    """Each axis against the first one that turns: +1 parallel, -1 antiparallel."""
+
     axis1: int
-    """Each axis against the first that turns."""
     axis2: int
     axis3: int
     axis4: int
@@ -137,9 +150,13 @@ class FiveAxisSigns(NamedTuple):
     up: int
     """+1 where axis 1 points up in the world that the arm was built into."""
     sin_alpha1: int
+    """The sign of sin(alpha1)."""
     cos_alpha2: int
+    """Axis 3 against axis 2: +1 parallel, -1 antiparallel."""
     cos_alpha3: int
+    """Axis 4 against axis 3: +1 parallel, -1 antiparallel."""
     sin_alpha4: int
+    """The sign of sin(alpha4)."""
 
     @property
     def cos_alpha23(self) -> int:
@@ -149,21 +166,25 @@ class FiveAxisSigns(NamedTuple):
 
 class TurretSigns(NamedTuple):
     axis2: int
-    """Each of the three parallel axes against axis 2, so that this one is +1."""
+    """Axis 2 against itself: +1."""
     axis3: int
+    """Axis 3 against axis 2: +1 parallel, -1 antiparallel."""
     axis4: int
+    """Axis 4 against axis 2, likewise."""
 
 
 class PlanarPoseSigns(NamedTuple):
+    """Each axis against the plane's normal: +1 or -1. Slides are in the plane; their signs are not used."""
+
     axis1: int
-    """Each axis against the normal of the plane. A slide lies in the plane, and its sign is not used."""
     axis2: int
     axis3: int
 
 
 class PlanarPositionSigns(NamedTuple):
+    """Each axis against the plane's normal: +1 or -1. Slides are in the plane; their signs are not used."""
+
     axis1: int
-    """Each axis against the normal of the plane. A slide lies in the plane, and its sign is not used."""
     axis2: int
 
 
