@@ -21,6 +21,7 @@ from ikjax.arm import dh, printing
 from ikjax.arm.axes_to_dh import Axes, Rewritten, rewritten, size_of
 from ikjax.arm.recognition import free_parameters, recognize
 from ikjax.arm.recognition.rules import RULES
+from ikjax.arm.recognition.signs import named_signs
 from ikjax.core import pose as poses
 from ikjax.core import text
 from ikjax.core.known import as_array, constants, is_traced
@@ -76,7 +77,7 @@ class Arm:
     family: str | None = dataclasses.field(metadata={"static": True})
     """The closed form that solves this arm, or None; a promise about the twists that a new `alpha` keeps."""
     signs: tuple = dataclasses.field(metadata={"static": True})
-    """What the family's kernel must know about the twists: signs of their sines and cosines."""
+    """What the family's kernel must know besides the numbers: its NamedTuple of `arm.recognition.signs`."""
     branches: tuple[str, ...] = dataclasses.field(metadata={"static": True})
     """What each slot means, in slot order."""
     task: str = dataclasses.field(metadata={"static": True})
@@ -88,6 +89,8 @@ class Arm:
         object.__setattr__(self, "branches", tuple(map(text.line, self.branches)))
         if self.joint_names is not None:
             object.__setattr__(self, "joint_names", tuple(map(text.line, self.joint_names)))
+        # Whoever builds an arm may give a plain tuple.
+        object.__setattr__(self, "signs", named_signs(self.family, self.signs))
 
     @staticmethod
     def from_dh(

@@ -28,7 +28,7 @@ from ikjax.ik.project_gradient import with_slopes
 from ikjax.ik.results import Projection
 from ikjax.ik.solve import as_goals
 from ikjax.ik.turns import TURN
-from ikjax.solvers.pipeline import proposed, proposed_at_ends
+from ikjax.solvers.pipeline import proposed, proposed_at_limits
 
 STEPS = 60
 
@@ -66,7 +66,7 @@ def _at_limits(arm: Arm, entries: Entries) -> list[tuple[jax.Array, ...]]:
     goal, _, policy = asked(arm, entries)
     shape = goal.position[0].shape
     with pinning(policy):
-        ends, branches = proposed_at_ends(arm, goal), proposed(arm, goal)
+        ends, branches = proposed_at_limits(arm, goal), proposed(arm, goal)
     low, high = bounds(arm)[-1]
     rows = [*ends, *((*q[:-1], _further(q[-1], low, high)) for q in [*branches, *ends])]
     return [tuple(policy(jnp.broadcast_to(x, shape)) for x in q) for q in rows]

@@ -71,7 +71,7 @@ def _extra_starts(arm: Arm, goals, steps: int, count: int | None, priority: str)
     """The starts beside the branches, (..., S, n)."""
     if count is None:
         astray = arm.family is not None and steps > 0 and _astray(arm)
-        if astray and priority == "weighted" and FAMILIES[str(arm.family)].held:
+        if astray and priority == "weighted" and FAMILIES[str(arm.family)].locked:
             return at_limits(arm, goals)
         many = SCATTERED if arm.family is None or priority != "weighted" else EXTRA
         count = many if astray or arm.family is None else 0

@@ -26,6 +26,7 @@ import numpy as np
 
 from ikjax.arm.arm import Arm
 from ikjax.arm.recognition import recognize
+from ikjax.arm.recognition.signs import named_signs
 from ikjax.core.text import line
 from ikjax.maps.sets.orientations import Listed, Orientations
 
@@ -183,7 +184,7 @@ def to_arm(spec: dict) -> Arm:
         arm,
         **stored,
         family=spec["family"],
-        signs=tuple(spec["signs"]),
+        signs=named_signs(spec["family"], spec["signs"]),
         branches=tuple(spec["branches"]),
         task=spec["task"],
     )

@@ -1,4 +1,4 @@
-"""Five joints, of which one is at a limit: the joints that made a goal so are among the starts."""
+"""Five joints, one of them at a limit: the joints that made such a goal are among the starts."""
 
 import dataclasses
 
@@ -41,7 +41,7 @@ def test_joints_that_made_a_goal_with_one_at_a_limit_are_among_the_starts(arm):
     starts = np.array(at_limits(arm, goals))
     assert starts.shape == (len(q), 36, 5) and np.isfinite(starts).all()
     off = np.abs((starts[:, :16] - q[:, None] + np.pi) % (2 * np.pi) - np.pi).max(-1).min(-1)
-    # With joint 2 held, the L-3's hand has no length in the plane: its pitch is its own.
+    # With joint 2 locked, the L-3's hand has no length in the plane: its pitch is its own.
     known = slice(80, None) if arm is LIMITED_L3 else slice(None)
     assert np.median(off[known]) < 1e-9 and off[known].max() < 1e-5
     # The last joint stands at the end that the joints of the twin are further from.
@@ -62,17 +62,17 @@ def test_limits_may_be_missing_and_traced():
 
 
 @pytest.mark.slow
-def test_a_point_that_is_attained_within_limits_is_held_by_a_start():
+def test_a_point_that_is_attained_within_limits_is_attained_by_a_start():
     """By the branches alone, put on their limits, it was three goals in four."""
     arm = ikjax.robots.vx300()
     low, high = np.array(arm.limits).T
     goals = np.array(ikjax.fk(arm, np.random.default_rng(0).uniform(low, high, (500, 5))))
     goals[:, :3, :3] = ikjax.maps.even_rotations(500)
     starts = at_limits(arm, goals)
-    held = ikjax.pose_error(ikjax.fk(arm, into_limits(arm, starts)), goals[:, None])[0].min(-1)
+    attained = ikjax.pose_error(ikjax.fk(arm, into_limits(arm, starts)), goals[:, None])[0].min(-1)
     branches = ikjax.project(arm, goals, steps=0).branches.position_error.min(-1)
     assert 0.6 < (branches < 1e-9).mean() < 0.9
-    assert np.minimum(branches, held).max() < 1e-9
+    assert np.minimum(branches, attained).max() < 1e-9
 
 
 def into_limits(arm, q):
