@@ -39,8 +39,7 @@ AHEAD = 4
 def solve_blocks(
     arm: Arm, goals: jax.Array, q_now: jax.Array | None, pose_tolerance: float | None
 ) -> Solutions:
-    """`Solutions` of goals (N, 4, 4) and q_now (N, n); the bits of a row do not depend on N or on its
-    index."""
+    """`Solutions` of goals (N, 4, 4) and q_now (N, n); the bits of a row depend on that row alone."""
     # The limits do not enter the solutions: with zeros, arms that differ in their limits share a program.
     arm = dataclasses.replace(arm, limits=np.zeros((arm.n, 2), arm.dtype))
     return map_blocks(SolveBlock(pose_tolerance), arm, (goals, q_now))
@@ -118,8 +117,7 @@ def _with_piece(whole, piece, start):
 
 @functools.lru_cache(maxsize=256)
 def _compiled(block, known, form, shapes):
-    """The program of one piece. It is compiled by the caller: threads do not see the caller's jax
-    settings."""
+    """The program of one piece, compiled by the caller: threads do not see its jax settings."""
     rest, inputs = jax.tree.unflatten(form, [jax.ShapeDtypeStruct(*s) for s in shapes])
     jitted = jax.jit(_piece, static_argnums=(0, 1), compiler_options=wide_vectors())
     return jitted.lower(block, known, rest, inputs, jax.ShapeDtypeStruct((), np.int32)).compile()

@@ -122,8 +122,7 @@ def solve_inline(
 
 
 def gathered(slots: tuple[Slot, ...], shape: tuple[int, ...], **instead: jax.Array) -> Solutions:
-    """The slots as `Solutions` with batch axes `shape`; fields that are given in `instead` are taken as they
-    are."""
+    """The slots as `Solutions` with batch axes `shape`; fields in `instead` replace those of the slots."""
 
     def gather(values):
         return jnp.stack([jnp.broadcast_to(v, shape) for v in values], axis=-1)

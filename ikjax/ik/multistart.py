@@ -142,8 +142,7 @@ def sampling_ranges(arm: Arm) -> tuple[jax.Array, jax.Array]:
 
 
 def scattered_starts(arm: Arm, batch: tuple[int, ...], count: int) -> jax.Array:
-    """A low-discrepancy sequence of joints over `sampling_ranges`, the same for every goal, (*batch, count,
-    n).
+    """A low-discrepancy sequence of joints in `sampling_ranges`, (*batch, count, n), the same for all goals.
 
     Source: the additive recurrence R_d of Roberts, The unreasonable effectiveness of quasirandom
     sequences (2018).

@@ -94,8 +94,7 @@ def _extra_starts(arm: Arm, goals: jax.Array, steps: int, count: int | None, pri
 
 
 def _branches_may_miss(arm: Arm) -> bool:
-    """Whether the nearest pose may be in a basin that no branch leads to: by limits, or for want of
-    joints."""
+    """Whether limits, or joints too few, may make a basin that no branch leads to."""
     if arm.task == "pose" and FAMILIES[str(arm.family)].nearest is None:
         return True
     return isinstance(arm.limits, jax.core.Tracer) or bool(np.isfinite(np.asarray(arm.limits)).any())

@@ -128,8 +128,7 @@ class Trajectory:
     position_error: jax.Array
     """(..., T) distance from the goal [m]."""
     rotation_error: jax.Array
-    """(..., T) angle from the goal [rad]; NaN where the goal is no pose, like the cost and the position
-    error."""
+    """(..., T) angle from the goal [rad]; like cost and position error, NaN where the goal is no pose."""
     goal_error: jax.Array | None = None
     """(..., T) |R^T R - I| of each goal as given. Up to 1e-2 the nearest rotation is the goal; beyond that
     the goal is no pose. See `Projection`."""

@@ -135,8 +135,7 @@ def nearest_turn(x: jax.Array, low: Scalar, high: Scalar, whole, near=None) -> t
 
 
 def _allowed(x: jax.Array, low: jax.Array, high: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The least and the greatest number of turns within the limits; the first is greater where there is
-    none."""
+    """The least and the greatest number of turns within the limits; least > greatest where there is none."""
     x = jax.lax.stop_gradient(x)
     return jnp.ceil((low - _slack(x, low) - x) / TURN), jnp.floor((high + _slack(x, high) - x) / TURN)
 

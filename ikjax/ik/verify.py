@@ -103,8 +103,7 @@ def _at_right_angles(arm: Arm, q: np.ndarray, rng) -> np.ndarray:
 
 
 def _judge(arm: Arm, q: np.ndarray, dtype) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """Which of the goals of joints q (N, n) are wrong, without an answer, and missing, each (N,); worst
-    error."""
+    """Which goals of joints q (N, n) are wrong, unanswered and missing, each (N,); the worst error."""
     goals = np.asarray(fk(arm, q), float)
     sol = jax.tree.map(np.asarray, solve(arm, jnp.asarray(goals, dtype)))
     distance, angle, rows = _task_errors(arm, np.asarray(fk(arm, sol.q), float), goals[:, None])
