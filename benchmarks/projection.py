@@ -22,7 +22,7 @@ import ikjax
 from ikjax.core import cores
 from ikjax.core.xla import wide_vectors
 from ikjax.ik.batched import BLOCK
-from ikjax.ik.multistart import closed
+from ikjax.ik.multistart import closed_form
 
 LENGTH = 0.1
 CORES = cores.usable()
@@ -50,7 +50,7 @@ def kernel(arm, goals: np.ndarray, dtype: str, runs: int = 9) -> float:
 
     def every_slot(numbers, length):
         def block(n):
-            slots = closed(arm, tuple(n[4 * i : 4 * i + 4] for i in range(4)), length)
+            slots = closed_form(arm, tuple(n[4 * i : 4 * i + 4] for i in range(4)), length)
             return [(slot.q, slot.position_error, slot.rotation_error, slot.gradient_norm) for slot in slots]
 
         return jax.lax.map(block, numbers)

@@ -12,7 +12,7 @@ import numpy as np
 
 from ikjax.arm.arm import Arm
 from ikjax.ik.inline import FIELDS
-from ikjax.ik.multistart import closed
+from ikjax.ik.multistart import closed_form
 from ikjax.ik.results import Solutions
 from ikjax.maps.fingerprint import traced
 from ikjax.maps.kernel.sample import Goal, Lane
@@ -72,7 +72,7 @@ def _errors(goal: Goal) -> list[tuple[jax.Array, jax.Array]]:
     position = [jnp.broadcast_to(x, goal.shape) for x in goal.pose.position]
     zero = jnp.zeros_like(position[0])
     rows = [(*row, x) for row, x in zip(goal.pose.rotation, position, strict=True)]
-    slots = closed(goal.arm, (*rows, (zero, zero, zero, zero + 1)), zero + 1)
+    slots = closed_form(goal.arm, (*rows, (zero, zero, zero, zero + 1)), zero + 1)
     return [(slot.position_error, slot.rotation_error) for slot in slots]
 
 
