@@ -26,7 +26,7 @@ ORIENTATIONS = 512
 
 PARTS = {
     "Lock": ("__enter__", "__exit__"),
-    "Store": ("__init__", "prepare", "survey", "put", "settle", "say"),
+    "Store": ("__init__", "prepare", "survey", "put", "settle", "write_state"),
 }
 """What the thread that leads a sweep does for the store."""
 

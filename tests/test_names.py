@@ -116,11 +116,11 @@ def test_a_map_whose_spec_would_be_a_path_or_a_program_is_refused(reach, tmp_pat
     head = manifest.read_group(file.read_bytes())
     if name := change.pop("statistics", None):
         change = {"statistics": {name: head.spec["statistics"]["reachable"]}}
-    file.write_bytes(manifest.group(head._replace(spec={**head.spec, **change})))
+    file.write_bytes(manifest.group_document(head._replace(spec={**head.spec, **change})))
     with pytest.raises(ValueError, match="no map that a sweep has written"):
         ikjax.ReachMap.load(tmp_path / "map.zarr")
     family = {**head.arm, "family": "evil"}
-    file.write_bytes(manifest.group(head._replace(arm=family)))
+    file.write_bytes(manifest.group_document(head._replace(arm=family)))
     with pytest.raises(ValueError, match="no family 'evil'"):
         ikjax.ReachMap.load(tmp_path / "map.zarr")
 

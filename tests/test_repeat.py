@@ -19,7 +19,11 @@ ROOT = pathlib.Path(__file__).parent.parent
 BOX = {"lower": (0.2, -0.3, 0.0), "upper": (0.6, 0.3, 0.4), "spacing": 0.1}
 MAPS = {
     "float64": {"orientations": 12, "dtype": "float64"},
-    "a list": {"orientations": ikjax.maps.even_rotations(12).rotations[::2], "dtype": "float32", "rolls": 2},
+    "a list": {
+        "orientations": ikjax.maps.even_rotations(12).rotations[::2],
+        "dtype": "float32",
+        "free_rolls": 2,
+    },
     "certified": {"orientations": ikjax.maps.hopf(0), "dtype": "float32", "certify": True},
     "mask": {"orientations": ikjax.maps.cone((0, 0, -1), 0.5, 9), "statistics": ["mask", "best_sigma_min"]},
     "near": {"orientations": 16, "statistics": ["reachable", ikjax.maps.Near(0.01, 0.5, "nearly")]},
@@ -46,7 +50,7 @@ def run(folder, *words) -> str:
 
 
 def parts(words: str) -> tuple[str, str]:
-    """Python and shell of a recipe."""
+    """The commands of a page, in Python and in a shell."""
     python, mark, shell = words.partition("# in a shell")
     assert mark and "ikjax.sweep" in python
     return python, mark + shell
@@ -61,7 +65,7 @@ def again(folder, out) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", MAPS)
-def test_the_python_of_a_recipe_makes_the_same_bits(name, tmp_path):
+def test_the_python_of_a_page_makes_the_same_bits(name, tmp_path):
     out = swept(tmp_path, name)
     python, _ = parts(page.repeat(ikjax.ReachMap.load(out), out.name))
     run(tmp_path, sys.executable, "-c", python)
@@ -69,7 +73,7 @@ def test_the_python_of_a_recipe_makes_the_same_bits(name, tmp_path):
 
 
 @pytest.mark.slow
-def test_all_of_the_recipe_is_run_as_it_stands_on_the_page(tmp_path):
+def test_all_commands_are_run_as_they_stand_on_the_page(tmp_path):
     out = swept(tmp_path, "a list")
     (tmp_path / "bin").mkdir()
     command = tmp_path / "bin" / "ikjax"
@@ -87,7 +91,7 @@ def test_all_of_the_recipe_is_run_as_it_stands_on_the_page(tmp_path):
     assert shown.exists() and (tmp_path / "again.html").exists()
 
 
-def test_a_measure_of_ones_own_is_asked_for(tmp_path):
+def test_a_users_own_measure_is_asked_for(tmp_path):
     count = ikjax.maps.Measure("most", lambda sol: sol.valid.sum(-1).astype("float32"), "max")
     positions = ikjax.maps.grid((0.4, 0, 0), (0.5, 0.1, 0.1), 0.1)
     reach = ikjax.sweep(ikjax.robots.gx4_351s(), positions, 4, statistics=["reachable", count])

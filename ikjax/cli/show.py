@@ -11,7 +11,7 @@ from typing import Any
 import ikjax
 from ikjax.cli.say import complain, say
 from ikjax.maps import reach_map
-from ikjax.maps.store.storage import Place
+from ikjax.maps.store.storage import Storage
 
 
 def run_show(options) -> int:
@@ -49,7 +49,7 @@ def check_places(options) -> None:
         if file:
             pathlib.Path(file).absolute().parent.mkdir(parents=True, exist_ok=True)
     if out:
-        Place(out)
+        Storage(out)
     if options.picture:
         from ikjax import plot
 

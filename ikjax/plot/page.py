@@ -85,10 +85,10 @@ def page(reach: ReachMap, then: ReachMap | None = None, name: str = "map.zarr") 
         show("Which ways the tool can point", words, globe(arm, places))
     parts.append(f"<h2>The arm</h2>\n{_text(str(arm))}")
     parts.append(f"<h2>How to repeat it</h2>\n{_text(repeat(reach, name))}")
-    study = _study(reach)
+    spec, _ = manifest.describe(reach)
     parts.append(
-        f"<h2>Spec</h2>\n<p>Fingerprint {manifest.fingerprint(study)}. All that the numbers depend on:</p>\n"
-        f"<details><summary>JSON</summary>{_text(json.dumps(study, indent=1))}</details>\n</body></html>\n"
+        f"<h2>Spec</h2>\n<p>Fingerprint {manifest.fingerprint(spec)}. All that the numbers depend on:</p>\n"
+        f"<details><summary>JSON</summary>{_text(json.dumps(spec, indent=1))}</details>\n</body></html>\n"
     )
     return "\n".join(parts)
 
@@ -135,12 +135,6 @@ def _places(reach: ReachMap) -> np.ndarray:
     order = np.argsort(share, kind="stable")[int((share == 0).sum()) :]
     chosen = [order[-1], order[len(order) // 2], order[0]] if len(order) else []
     return reach.positions.points().reshape(-1, 3)[list(dict.fromkeys(chosen))]
-
-
-def _study(reach: ReachMap) -> dict:
-    fixed = manifest.fixed(reach.positions, reach.orientations)
-    parts = (reach.arm, reach.positions, reach.orientations, reach.free_rolls, reach.dtype)
-    return manifest.of_study(*parts, reach.statistic_specs, fixed)
 
 
 def _text(words: str) -> str:

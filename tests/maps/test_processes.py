@@ -44,11 +44,12 @@ def start(out, *arguments, devices=1):
     return [subprocess.Popen([*command, str(i), *more], **options) for i, more in enumerate(arguments)]
 
 
-def ends(crew):
+def ends(processes):
     """What each said, and how it ended."""
-    said = [process.communicate(timeout=120) for process in crew]
+    said = [process.communicate(timeout=120) for process in processes]
     return [
-        (process.returncode, out.strip(), err[-2000:]) for process, (out, err) in zip(crew, said, strict=True)
+        (process.returncode, out.strip(), err[-2000:])
+        for process, (out, err) in zip(processes, said, strict=True)
     ]
 
 
@@ -67,8 +68,8 @@ def test_two_processes_share_the_units_and_go_on_with_those_of_one(whole, tmp_pa
         assert code == 0 and said == "8 3 5 0", err
     assert small.files(out) == small.files(whole) and not (tmp_path / "map.zarr.lock").exists()
     assert small.bits(ikjax.ReachMap.load(out)) == small.bits(ikjax.ReachMap.load(whole))
-    diary = (tmp_path / "map.zarr.log").read_text()
-    assert diary.count("complete, ") == 1
+    log = (tmp_path / "map.zarr.log").read_text()
+    assert log.count("complete, ") == 1
 
 
 def test_a_process_that_stops_stops_the_others_and_one_goes_on(whole, tmp_path):
