@@ -40,10 +40,10 @@ def sampled(ours, shown: list, path: Path) -> None:
         path: Where to.
     """
     plt = pyplot()
-    layer = int(np.abs(ours.grid.axis(1) - float(ours.arm.base[1, 3])).argmin())
+    layer = int(np.abs(ours.positions.axis(1) - float(ours.arm.base[1, 3])).argmin())
     truth = ours.reached().mean(-1)
-    x, z = ours.grid.axis(0), ours.grid.axis(2)
-    half = ours.grid.spacing / 2
+    x, z = ours.positions.axis(0), ours.positions.axis(2)
+    half = ours.positions.spacing / 2
     frame = [x[0] - half, x[-1] + half, z[0] - half, z[-1] + half]
     settings = {"origin": "lower", "extent": frame, "interpolation": "nearest"}
     with plt.rc_context(STYLE):

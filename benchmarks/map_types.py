@@ -12,6 +12,7 @@ import numpy as np
 import report
 
 import ikjax
+from ikjax.arm.forward import reach as reach_of
 
 ARMS = ("puma560", "ur5", "quartic")
 GOALS, QUICK = 1e7, 3e5
@@ -78,7 +79,7 @@ def clearance(arm: ikjax.Arm, reach: ikjax.ReachMap, cells: np.ndarray) -> np.nd
     goals[:, :3, :3] = reach.rotations[cells[:, 3]]
     goals[:, :3, 3] = reach.positions.points()[tuple(cells[:, :3].T)]
     sol = ikjax.solve(arm, goals)
-    size = float(ikjax.solvers.pipeline.reach(arm))
+    size = float(reach_of(arm))
     folds = np.abs(np.asarray(sol.margin)) / size
     low, high = np.asarray(arm.limits, float).T
     bounds = np.stack([low, high], axis=-1)

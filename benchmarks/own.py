@@ -14,6 +14,7 @@ import ikjax
 from ikjax.core import cores
 from ikjax.core.pose import Pose
 from ikjax.core.tolerances import VALID
+from ikjax.core.xla import pinning
 from ikjax.ik.batched import wide_vectors
 from ikjax.solvers.pipeline import solve_scalars
 
@@ -71,8 +72,9 @@ def kernel(batch: Batch, dtype: str, runs: int) -> Measured:
     def every_slot(numbers, one):
         def block(n):
             goal = Pose((n[0:3], n[4:7], n[8:11]), (n[3], n[7], n[11]))
-            # What many outputs share is divided by a one, so that XLA stores it; see ikjax.ik.inline.
-            slots = solve_scalars(arm, goal, hold=lambda x: x / one)
+            # Values that many outputs share are pinned, as `ikjax.solve` does; see ikjax.core.xla.
+            with pinning(lambda x: x / one):
+                slots = solve_scalars(arm, goal)
             return jax.tree.map(lambda x: jnp.broadcast_to(x, BLOCK), [(s.q, s.valid) for s in slots])
 
         return jax.lax.map(block, numbers)
@@ -126,10 +128,6 @@ ROWS: dict[str, Callable[[Batch, str, int], Measured]] = {
 ORIENTATIONS = 512
 SAMPLE = 32
 """Positions of a sweep that are solved again, every orientation, and judged."""
-
-
-def has_sweep() -> bool:
-    return hasattr(ikjax, "sweep") and hasattr(ikjax, "around")
 
 
 def sweep(arm: ikjax.Arm, dtype: str, goals: int, runs: int) -> tuple[Measured, int]:

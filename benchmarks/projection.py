@@ -152,8 +152,8 @@ def main() -> None:
         for dtype in ("float32", "float64"):
             batch = jnp.asarray(goals, dtype)
             print(f"{name} {dtype} kernel: {kernel(arm, goals, dtype):.2f} M goals/s", flush=True)
-            for what, steps, beside in (("closed form", 0, 0), ("branches", 60, 0), ("default", 60, None)):
-                options = {"steps": steps, "beside": beside}
+            for what, steps, extra_starts in (("closed form", 0, 0), ("branches", 60, 0), ("default", 60, None)):
+                options = {"steps": steps, "extra_starts": extra_starts}
                 call = clock.blocking(lambda b=batch, o=options, a=arm: ikjax.project(a, b, LENGTH, **o).q)
                 _, first = clock.once(call)
                 rate = clock.measure(call, 3).rate(given.goals)

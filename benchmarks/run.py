@@ -139,8 +139,6 @@ class Bench:
         self.rows.append(dataclasses.replace(row, target=f">= {wanted}x EAIK", met=met))
 
     def one_sweep(self, arm: ikjax.Arm, dtype: str, rates: dict[str, float]) -> None:
-        if not own.has_sweep():
-            raise rivals.AbsentError("this ikjax has no sweep")
         found, goals = own.sweep(arm, dtype, self.sizes.sweep_goals, self.sizes.runs)
         wanted = SWEEP_RATE[arm.name, dtype]
         row = _row("sweep", arm, dtype, goals, found, rates)

@@ -120,7 +120,7 @@ plt.show()
 if importlib.util.find_spec("xarray"):
     data = mended.to_xarray()
     print(data)
-    share = data.reachable_within / mended.orientations
+    share = data.reachable_within / mended.orientation_count
     fig, axes = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained")
     bar = {"label": "best share at any height"}
     share.max("z").T.plot(ax=axes[0], cmap="viridis", cbar_kwargs=bar)

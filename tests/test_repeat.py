@@ -19,7 +19,7 @@ ROOT = pathlib.Path(__file__).parent.parent
 BOX = {"lower": (0.2, -0.3, 0.0), "upper": (0.6, 0.3, 0.4), "spacing": 0.1}
 MAPS = {
     "float64": {"orientations": 12, "dtype": "float64"},
-    "a list": {"orientations": ikjax.maps.even_rotations(12).rotations[::2], "dtype": "float32", "rolls": 2},
+    "a list": {"orientations": ikjax.maps.even_rotations(12).rotations[::2], "dtype": "float32", "free_rolls": 2},
     "certified": {"orientations": ikjax.maps.hopf(0), "dtype": "float32", "certify": True},
     "mask": {"orientations": ikjax.maps.cone((0, 0, -1), 0.5, 9), "statistics": ["mask", "best_sigma_min"]},
     "near": {"orientations": 16, "statistics": ["reachable", ikjax.maps.Near(0.01, 0.5, "nearly")]},

@@ -104,10 +104,12 @@ def repeat(reach: ReachMap, name: str) -> str:
     certify = ", certify=True" if manifest.is_certified(reach.statistic_specs) else ""
     shell = shlex.quote(name)
     return f"""\
-# in Python: the same arm, positions and orientations ({which}) import ikjax, jax
-jax.config.update("jax_enable_x64", True) {given}old = ikjax.ReachMap.load({name!r}) new =
-ikjax.sweep(old.arm, old.positions, old.orientations, free_rolls={reach.free_rolls},
-dtype={reach.dtype!r}{certify},
+# in Python: the same arm, positions and orientations ({which})
+import ikjax, jax
+jax.config.update("jax_enable_x64", True)
+{given}old = ikjax.ReachMap.load({name!r})
+new = ikjax.sweep(old.arm, old.positions, old.orientations,
+                  free_rolls={reach.free_rolls}, dtype={reach.dtype!r}{certify},
                   statistics=[{names}], out="again.zarr")
 assert all(new.to_numpy()[k].tobytes() == v.tobytes() for k, v in old.to_numpy().items())
 
