@@ -371,8 +371,8 @@ def test_a_study_is_swept_gone_on_with_and_compared(run, study, tmp_path):
     assert code == 2 and "holds a finished map; go on with resume=True (--resume), or replace it" in err
     code, out, _ = run(*words, "--force", "--compare", tmp_path / "map.zarr")
     assert code == 0 and "positions that differ      0" in out
-    diary = (tmp_path / "map.zarr.log").read_text()
-    assert "1 of 8 units kept, 7 missing, 0 damaged" in diary and "SweepStoppedError" in diary
+    log = (tmp_path / "map.zarr.log").read_text()
+    assert "1 of 8 units kept, 7 missing, 0 damaged" in log and "SweepStoppedError" in log
     study(0.06)
     code, _, err = run(*words, "--resume")
     assert code == 2 and "positions.spacing: 0.03 there, 0.06 here" in err
