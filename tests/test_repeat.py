@@ -39,7 +39,7 @@ def swept(folder, name: str) -> pathlib.Path:
 
 
 def run(folder, *words) -> str:
-    """What a program says, started as a user would: without this suite's settings."""
+    """The output of a program, started as by a user: without this suite's settings."""
     kept = {key: value for key, value in os.environ.items() if key != "JAX_ENABLE_X64"}
     paths = {"PYTHONPATH": str(ROOT), "PATH": f"{folder / 'bin'}{os.pathsep}{os.environ['PATH']}"}
     done = subprocess.run(
@@ -91,7 +91,7 @@ def test_all_commands_are_run_as_they_stand_on_the_page(tmp_path):
     assert shown.exists() and (tmp_path / "again.html").exists()
 
 
-def test_a_users_own_measure_is_asked_for(tmp_path):
+def test_a_custom_measure_is_left_to_the_user(tmp_path):
     count = ikjax.maps.Measure("most", lambda sol: sol.valid.sum(-1).astype("float32"), "max")
     positions = ikjax.maps.grid((0.4, 0, 0), (0.5, 0.1, 0.1), 0.1)
     reach = ikjax.sweep(ikjax.robots.gx4_351s(), positions, 4, statistics=["reachable", count])
