@@ -86,8 +86,8 @@ def test_all_commands_are_run_as_they_stand_on_the_page(tmp_path):
     run(tmp_path, sys.executable, "-c", python)
     again(tmp_path, out)
     shown.unlink()
-    said = run(tmp_path, "sh", "-e", "-c", shell)
-    assert "positions that differ      0" in said
+    printed = run(tmp_path, "sh", "-e", "-c", shell)
+    assert "positions that differ      0" in printed
     assert shown.exists() and (tmp_path / "again.html").exists()
 
 
@@ -102,6 +102,6 @@ def test_a_custom_measure_is_left_to_the_user(tmp_path):
 @pytest.mark.slow
 def test_a_map_without_counts_is_shown_on_a_page_without_their_pictures(tmp_path):
     out = swept(tmp_path, "mask")
-    said = run(tmp_path, sys.executable, "-m", "ikjax.cli", "show", out.name)
-    assert "page" in said and "picture" not in said
+    printed = run(tmp_path, sys.executable, "-m", "ikjax.cli", "show", out.name)
+    assert "page" in printed and "picture" not in printed
     assert not list(tmp_path.glob("*.png"))

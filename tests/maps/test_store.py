@@ -161,10 +161,11 @@ def head_of(out) -> manifest.Head:
 def test_another_spec_is_refused_with_both_fingerprints(copy, whole):
     with pytest.raises(ValueError) as caught:
         small.swept(copy, resume=True, dtype="float64", positions=ikjax.maps.grid((0, 0, 0), (1, 1, 1), 0.25))
-    said = str(caught.value)
-    assert manifest.fingerprint(head_of(whole).spec) in said and said.count("fingerprint") == 1
+    message = str(caught.value)
+    assert manifest.fingerprint(head_of(whole).spec) in message and message.count("fingerprint") == 1
     assert (
-        'dtype: "float32" there, "float64" here' in said and "positions.spacing: 0.1 there, 0.25 here" in said
+        'dtype: "float32" there, "float64" here' in message
+        and "positions.spacing: 0.1 there, 0.25 here" in message
     )
     with pytest.raises(ValueError, match=r"has chunk \(4, 4, 1\), got chunk \(2, 2, 2\)"):
         small.swept(copy, resume=True, chunk=(2, 2, 2))
