@@ -180,7 +180,11 @@ def _joint_rates(
     for i in range(arm.n):
         matrix[i][i] = matrix[i][i] + damping * damping
     invalid = ~slots_first(valid)
-    right = [divide(jnp.broadcast_to(dot(u, wanted), invalid.shape)) for u in columns]
+    right = [dot(u, wanted) for u in columns]
+    # What no rate enters is a known zero; jax transposes the solution only if each entry depends on the rates.
+    zero = 0 * sum(x for x in wanted if isinstance(x, jax.Array))
+    right = [x if isinstance(x, jax.Array) else x + zero for x in right]
+    right = [divide(jnp.broadcast_to(x, invalid.shape)) for x in right]
 
     def solve(_, b):
         with pinning(divide):
