@@ -1,4 +1,4 @@
-"""The same arm with its limits whole turns further, or its slides counted from elsewhere, is the same arm."""
+"""An arm whose limits are shifted by whole turns gives the same results."""
 
 import dataclasses
 
@@ -25,7 +25,7 @@ def in_limits(arm):
 
 
 def both(function, atol=1e-9):
-    """What a function says of both arms, q counted from where each counts."""
+    """The results of a function for both arms are equal; those of the first are returned."""
     one, other = jax.tree.map(np.asarray, (function(ARM, 0 * SHIFT), function(FURTHER, SHIFT)))
     for x, y in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
         np.testing.assert_allclose(y, x, rtol=0, atol=atol)

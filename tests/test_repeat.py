@@ -1,4 +1,4 @@
-"""The commands that a map's page prints make the map again, bit by bit, when they are run as they stand."""
+"""The commands on a map's page make the map again, bit by bit, when they are run unchanged."""
 
 import html
 import os
@@ -19,7 +19,11 @@ ROOT = pathlib.Path(__file__).parent.parent
 BOX = {"lower": (0.2, -0.3, 0.0), "upper": (0.6, 0.3, 0.4), "spacing": 0.1}
 MAPS = {
     "float64": {"orientations": 12, "dtype": "float64"},
-    "a list": {"orientations": ikjax.maps.even_rotations(12).rotations[::2], "dtype": "float32", "free_rolls": 2},
+    "a list": {
+        "orientations": ikjax.maps.even_rotations(12).rotations[::2],
+        "dtype": "float32",
+        "free_rolls": 2,
+    },
     "certified": {"orientations": ikjax.maps.hopf(0), "dtype": "float32", "certify": True},
     "mask": {"orientations": ikjax.maps.cone((0, 0, -1), 0.5, 9), "statistics": ["mask", "best_sigma_min"]},
     "near": {"orientations": 16, "statistics": ["reachable", ikjax.maps.Near(0.01, 0.5, "nearly")]},
@@ -27,7 +31,7 @@ MAPS = {
 
 
 def swept(folder, name: str) -> pathlib.Path:
-    """A stored map, whose name has a blank and a quote."""
+    """A stored map, whose name has a space and a quote."""
     out = folder / f"{name}'s map.zarr"
     arm = ikjax.robots.motoman_l3() if name == "near" else ikjax.robots.puma560()
     ikjax.sweep(arm, ikjax.maps.grid(**BOX), out=out, **MAPS[name])
@@ -35,7 +39,7 @@ def swept(folder, name: str) -> pathlib.Path:
 
 
 def run(folder, *words) -> str:
-    """What a program says, started as a user would: without this suite's settings."""
+    """The output of a program, started as by a user: without this suite's settings."""
     kept = {key: value for key, value in os.environ.items() if key != "JAX_ENABLE_X64"}
     paths = {"PYTHONPATH": str(ROOT), "PATH": f"{folder / 'bin'}{os.pathsep}{os.environ['PATH']}"}
     done = subprocess.run(
@@ -53,7 +57,7 @@ def parts(words: str) -> tuple[str, str]:
 
 
 def again(folder, out) -> None:
-    """The bits of the map that was made by the commands are those of the first."""
+    """Assert that the map that the commands made has the bits of the first."""
     first, second = (ikjax.ReachMap.load(each).to_numpy() for each in (out, folder / "again.zarr"))
     assert {k: v.tobytes() for k, v in first.items()} == {k: v.tobytes() for k, v in second.items()}
     assert first
@@ -87,7 +91,7 @@ def test_all_of_the_recipe_is_run_as_it_stands_on_the_page(tmp_path):
     assert shown.exists() and (tmp_path / "again.html").exists()
 
 
-def test_a_measure_of_ones_own_is_asked_for(tmp_path):
+def test_a_custom_measure_is_left_to_the_user(tmp_path):
     count = ikjax.maps.Measure("most", lambda sol: sol.valid.sum(-1).astype("float32"), "max")
     positions = ikjax.maps.grid((0.4, 0, 0), (0.5, 0.1, 0.1), 0.1)
     reach = ikjax.sweep(ikjax.robots.gx4_351s(), positions, 4, statistics=["reachable", count])

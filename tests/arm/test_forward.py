@@ -58,7 +58,7 @@ def test_every_link_stands_and_moves_as_sixty_digits_say(name, dtype, rng):
         np.testing.assert_allclose(links[i], [oracle.floats(T) for T in oracle.frames(arm, q[i])], **near)
         np.testing.assert_allclose(tools[i], oracle.floats(tool), **near)
         assert max(oracle.error(arm, q[i], tools[i])) < near["atol"]
-        for column, slope in zip(jacobians[i].T, oracle.slopes(arm, q[i]), strict=True):
+        for column, slope in zip(jacobians[i].T, oracle.derivatives(arm, q[i]), strict=True):
             spin = oracle.floats(slope[:3, :3] * tool[:3, :3].T)
             turning = spin[2, 1], spin[0, 2], spin[1, 0]
             np.testing.assert_allclose(column, [*oracle.floats(slope)[:3, 3], *turning], **near)

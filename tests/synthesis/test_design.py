@@ -13,7 +13,7 @@ from ikjax.synthesis.parameters import Parameters, choose_parameters
 
 INNER, OUTER = 0.3, 1.0
 BEST = (INNER + OUTER) / 2
-"""Of the two links with the greatest clearance to both rims of a ring, for the least length."""
+"""Length of both links with the greatest clearance to both rims of a ring, for the least total length."""
 
 
 def ring(dtype=np.float64, count=12):
@@ -61,7 +61,7 @@ def test_rows_that_are_no_poses_change_nothing_but_the_report(found):
     assert "left out: 2 rows" in again.report()
 
 
-def test_a_search_at_the_end_comes_nearer_and_never_makes_worse(found):
+def test_a_local_search_improves_the_result_and_never_makes_it_worse(found):
     again = study(objective=clearance_for_length, steps=400, local_search=300)
     assert again.score >= found.score and again.scores.max() == found.scores.max()
     assert np.abs(np.array(list(again.values.values())) - BEST).max() < 1e-5
@@ -120,7 +120,7 @@ def test_a_constraint_that_is_no_number_is_not_met():
 
 @pytest.mark.slow
 def test_ties_hold_on_the_way_to_the_best_manipulability():
-    # Of all triangles of one girth and one base, the one with equal sides is the largest.
+    # Of all triangles with one perimeter and one base, the isosceles one has the largest area.
     tied = study(objective="mean_manipulability", ties=["a1 + a2 = 1.3"], optimizer=optax.sgd(3.0))
     np.testing.assert_allclose(tied.numbers, BEST, atol=2e-3)
     np.testing.assert_allclose(tied.numbers.sum(-1), 1.3, atol=1e-12)

@@ -14,7 +14,7 @@ from ikjax.synthesis.search_space import search_space
 UPPER, FORE = 0.6, 0.3
 ARM = ikjax.robots.planar_2r(UPPER, FORE)
 BASIC = {"spacing": 0.1, "steps": 40, "starts": 4}
-"""The same shapes in all tests, for the sake of compiles."""
+"""The same shapes in all tests, so that few programs are compiled."""
 
 
 def points(xy, dtype=np.float64):
@@ -46,7 +46,7 @@ def test_every_candidate_is_counted_as_by_hand():
     np.testing.assert_array_equal(found.tried[..., 0], by_hand)
     assert 0.3 < by_hand.max() < 1
     assert found.share[0] >= by_hand.max()
-    # No place on a far finer grid is better by more than what lies between.
+    # No place on a much finer grid is better by more than one goal.
     fine = np.stack(np.meshgrid(*[np.linspace(-1.5, 1.5, 301)] * 2), -1)
     away = np.linalg.norm(fine[..., None, :] - xy, axis=-1)
     best = ((away <= UPPER + FORE) & (away >= UPPER - FORE)).mean(-1).max()
@@ -78,7 +78,7 @@ def test_an_arm_stands_in_the_middle_of_a_ring():
 
 @pytest.mark.parametrize("rate", [0.3, 30.0])
 def test_polishing_never_makes_a_base_worse(rate, monkeypatch):
-    # At the greater rate it jumps about, and where it ends is no better than where it began.
+    # At the greater rate the ascent is unstable, and its end is no better than its start.
     monkeypatch.setattr("ikjax.synthesis.place.RATE", rate)
     for seed in range(4):
         found = ikjax.place(ARM, points(scattered(seed)), **BASIC)
@@ -110,7 +110,7 @@ def test_a_turn_matters_where_the_first_joint_has_limits():
     assert ahead.turns.shape == (8,) and 0 < (ahead.tried > 0).sum() < 4
     behind = ikjax.place(arm, about_z(2.2) @ goals, **fixed)
     assert ahead.share[0] == behind.share[0] == 1
-    # The goals are as far from the fold anyhow for a range of turns.
+    # The distance of the goals from the fold is the same for a range of turns.
     np.testing.assert_allclose([ahead.worst_margin[0], behind.worst_margin[0]], 0.1, atol=1e-3)
     turn = ahead.base[0][:2, :2].T @ behind.base[0][:2, :2]
     assert abs(np.arctan2(turn[1, 0], turn[0, 0]) - 2.2) < 0.3
