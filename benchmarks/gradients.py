@@ -29,8 +29,7 @@ def loss(arm, goals):
 
 
 def scanned(value_and_gradient):
-    """Value and gradient in the first argument, summed over blocks of goals; and the gradient in the
-    goals."""
+    """Value and gradient in the first argument, summed over blocks of goals; also that in the goals."""
 
     def summed(first, goals):
         def add(total, block):

@@ -294,15 +294,16 @@ def one_thread() -> dict[str, str | bool]:
     return {**wide_vectors(), **alone}
 
 
-# Notes on code that looks odd elsewhere:
+# Notes on code that looks odd elsewhere.
 #
-# - A quotient that several later values need is stored by XLA, which breaks a fused loop apart: in
-# `solvers.families.three_parallel` each goes through a mask. UR5, count in a jit: 4.6 before, 34 million
-# goals/s   after; sweep 23 before, 31 after (jax 0.10.2). - A choice before a minimum within the loop of
-# candidates (`jnp.where(some, margin, inf)`) made XLA emit the   kernel again and again: 13 minutes of
-# compile for a SCARA on jax 0.12.0, 1.4 s where the batch is padded by   repeating its first goal instead
-# (`synthesis.candidates`). Test: tests/synthesis/test_place.py. - Statistics of a sweep that need joints are
-# reduced in a loop of their own, and all flags of a goal travel as one   number, because a loop with four
-# results is computed four times (`maps.kernel.loop`). The best margin in a   loop of its own: UR5 31 million
-# goals/s. - A loop of one iteration costs a tenth of a whole call: `maps.kernel.loop` writes its body down
-# instead.
+# `solvers.families.three_parallel`: a quotient that several later values need is stored by XLA, which breaks
+# a fused loop apart; so each goes through a mask. UR5, count in a jit: 4.6 before, 34 million goals/s after;
+# sweep 23 before, 31 after (jax 0.10.2).
+#
+# `synthesis.candidates`: a choice before a minimum within the loop of candidates, `jnp.where(some, margin,
+# inf)`, made XLA emit the kernel again and again: 13 minutes of compile for a SCARA on jax 0.12.0, 1.4 s
+# where the batch is padded by repeating its first goal instead. Test: tests/synthesis/test_place.py.
+#
+# `maps.kernel.loop`: statistics that need joints are reduced in a loop of their own, and all flags of a goal
+# travel as one number, because a loop with four results is computed four times. The best margin in a loop of
+# its own: UR5 31 million goals/s. A loop of one iteration costs a tenth of a call: its body is written down.

@@ -637,3 +637,14 @@ def test_derivatives_of_five_joints_follow_their_own_poses(count):
         rough = [(8 * (at(t) - at(-t)) - (at(2 * t) - at(-2 * t))) / (12 * t[:, None, None]) for t in steps]
         off = np.min([np.abs(derivative - r).max(-1) / (1 + np.abs(r).max(-1)) for r in rough], axis=0)
         assert off[asked].max() < 1e-6, (key, off[asked].max())
+
+
+def test_reverse_mode_where_some_equations_depend_on_no_rate():
+    """The lengths of a SCARA move nothing vertically: that right-hand side is a known zero."""
+    arm = ikjax.robots.gx4_351s()
+    goals = ikjax.fk(arm, np.random.default_rng(0).uniform(0.05, 0.1, (4, arm.n)))
+    reverse, forward = (
+        derivative(lambda a: ikjax.solve(dataclasses.replace(arm, a=a), goals).q.sum())(arm.a)
+        for derivative in (jax.grad, jax.jacfwd)
+    )
+    np.testing.assert_allclose(reverse, forward, rtol=1e-9, atol=1e-9)
