@@ -181,7 +181,7 @@ def _joint_rates(
         matrix[i][i] = matrix[i][i] + damping * damping
     invalid = ~slots_first(valid)
     right = [dot(u, wanted) for u in columns]
-    # What no rate enters is a known zero; jax transposes the solution only if each entry depends on the rates.
+    # What no rate enters is a known zero. jax transposes the solution only if each entry depends on a rate.
     zero = 0 * sum(x for x in wanted if isinstance(x, jax.Array))
     right = [x if isinstance(x, jax.Array) else x + zero for x in right]
     right = [divide(jnp.broadcast_to(x, invalid.shape)) for x in right]
