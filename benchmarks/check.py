@@ -1,8 +1,8 @@
-"""The judge of every answer, ours and the rivals': forward kinematics in numpy, from the DH table.
+"""The check of every answer, ours and the rivals': forward kinematics in numpy, from the DH table.
 
-Independent of ikjax's own forward kinematics, in float64 whatever the solver's type, and the same
-for everybody. Each goal falls into one of four (OpenRAVE's words):
-    wrong     some answer that was given as right does not reach the goal
+It is independent of ikjax's own forward kinematics, computes in float64 whatever the solver's type, and is
+the same for all solvers. Each goal falls into one of four classes (OpenRAVE's words):
+    wrong     some answer that was given as valid does not reach the goal
     none      no answer
     missing   the joints that made the goal are not among the answers
     success   everything else
@@ -13,10 +13,10 @@ import dataclasses
 import numpy as np
 
 CHUNK = 8192
-"""Goals that are judged at once, so that the arrays stay in the cache."""
+"""Goals that are checked at a time, so that the arrays stay in the cache."""
 
 SLACK = 1.01
-"""An answer that the solver accepted at the edge of its tolerance is not wrong for our rounding."""
+"""Factor on the tolerance: an answer that the solver accepted at its edge is not wrong by our rounding."""
 
 
 def table(arm) -> dict[str, np.ndarray]:
@@ -68,7 +68,7 @@ def random_goals(arm, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray
 
 @dataclasses.dataclass(frozen=True)
 class Tally:
-    """How the goals fell, and the worst of all answers that were given."""
+    """Goals of each class, and the worst errors of all answers."""
 
     success: int
     wrong: int
@@ -81,15 +81,15 @@ class Tally:
     """[rad]"""
 
 
-def judge(arm, goals, made_by, answers, given, tolerance: float) -> Tally:
-    """Every answer against its goal, and the joints that made the goal against the answers.
+def tally_answers(arm, goals, made_by, answers, given, tolerance: float) -> Tally:
+    """Check every answer against its goal, and the joints that made the goal against the answers.
 
     Args:
         arm: The arm, in float64; all its joints turn.
-        goals: (N, 4, 4) in the type they were given to the solver.
-        made_by: (N, n) joints that made them; None where nobody knows, then nothing is missing.
+        goals: (N, 4, 4) in the type in which the solver got them.
+        made_by: (N, n) joints that made them; None if unknown, and then no goal counts as missing.
         answers: (N, S, n).
-        given: (N, S) bool, the slots that are answers.
+        given: (N, S) bool, which slots are answers.
         tolerance: Of a pose: [rad], and as a share of (reach + |p|).
     """
     size = reach(arm)
@@ -123,7 +123,7 @@ def _errors(reached: np.ndarray, goal: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _recovered(arm, made_by, q, mask, tolerance) -> np.ndarray:
-    """Whether some answer is the joints that made the goal, as far as the tolerance can tell.
+    """Whether some answer is the joints that made the goal, within the tolerance.
 
     Joints that differ by less than tolerance / sigma_min move the tool by less than the tolerance,
     to first order: near a singularity no solver can do better, and sigma_min is large elsewhere.
@@ -131,9 +131,9 @@ def _recovered(arm, made_by, q, mask, tolerance) -> np.ndarray:
     gap = np.abs((q - made_by[:, None] + np.pi) % (2 * np.pi) - np.pi).max(-1)
     nearest = np.where(mask, gap, np.inf).min(1)
     found = nearest <= tolerance
-    look = np.flatnonzero(~found & np.isfinite(nearest))
-    sigma = np.linalg.svd(_jacobian(arm, made_by[look]), compute_uv=False)[:, -1]
-    found[look] = nearest[look] * sigma <= 2 * tolerance
+    doubtful = np.flatnonzero(~found & np.isfinite(nearest))
+    sigma = np.linalg.svd(_jacobian(arm, made_by[doubtful]), compute_uv=False)[:, -1]
+    found[doubtful] = nearest[doubtful] * sigma <= 2 * tolerance
     return found
 
 
@@ -141,5 +141,5 @@ def _jacobian(arm, q: np.ndarray) -> np.ndarray:
     """Geometric Jacobian (N, 6, n), its linear rows in units of the reach."""
     *links, tool = frames(arm, q)
     axes = np.stack([T[:, :3, 2] for T in links[:-1]], axis=-1)
-    arms = np.stack([tool[:, :3, 3] - T[:, :3, 3] for T in links[:-1]], axis=-1)
-    return np.concatenate([np.cross(axes, arms, axis=1) / reach(arm), axes], axis=1)
+    levers = np.stack([tool[:, :3, 3] - T[:, :3, 3] for T in links[:-1]], axis=-1)
+    return np.concatenate([np.cross(axes, levers, axis=1) / reach(arm), axes], axis=1)

@@ -1,4 +1,4 @@
-"""Medians of run time, compile time apart."""
+"""Medians of run times, without compile time."""
 
 import dataclasses
 import statistics
@@ -10,7 +10,7 @@ import jax
 
 @dataclasses.dataclass(frozen=True)
 class Timing:
-    """Seconds of every run of a call, after one that warmed it up."""
+    """Seconds of every run of a call, after a first run that is not counted."""
 
     seconds: tuple[float, ...]
 
@@ -19,21 +19,21 @@ class Timing:
         return statistics.median(self.seconds)
 
     def rate(self, count: int) -> float:
-        """Millions a second, by the median run."""
+        """Millions per second of the median run."""
         return count / self.median / 1e6
 
     def rates(self, count: int) -> tuple[float, float]:
-        """Millions a second of the slowest and the fastest run."""
+        """Millions per second of the slowest and the fastest run."""
         return count / max(self.seconds) / 1e6, count / min(self.seconds) / 1e6
 
 
 def blocking(call: Callable) -> Callable:
-    """The same call of jax, which returns only when its results are there."""
+    """A call of jax that returns only when its results are ready."""
     return lambda: jax.block_until_ready(call())
 
 
 def measure(call: Callable, runs: int, inner: int = 1) -> Timing:
-    """Time `runs` runs of a blocking call after one to warm up; `inner` calls make a run."""
+    """Time `runs` runs of a blocking call, after a first one that is not timed; a run is `inner` calls."""
     call()
     seconds = []
     for _ in range(runs):
@@ -41,7 +41,7 @@ def measure(call: Callable, runs: int, inner: int = 1) -> Timing:
         for _ in range(inner):
             result = call()
         seconds.append((time.perf_counter() - started) / inner)
-        del result  # after the clock, and so that the next run finds the memory free
+        del result  # outside the timed part, and before the next run needs the memory
     return Timing(tuple(seconds))
 
 

@@ -1,9 +1,9 @@
 """Three design studies against random search and differential evolution.
 
-`python benchmarks/design.py [--seeds 10] [--studies abc]`. A value-and-gradient counts as six
-evaluations. All methods move the same coordinates between the same bounds, with the same ties; the rivals are
-given the exact score itself, compiled likewise. Times are seconds of processor, all threads, without
-the compiles: of a machine that others work on, no clock on the wall says much.
+`python benchmarks/design.py [--seeds 10] [--studies abc]`. A value with its gradient counts as six
+evaluations. All methods vary the same coordinates between the same bounds, with the same ties; the rivals get
+the exact score itself, compiled in the same way. Times are processor seconds of all threads, without compile
+time, because wall-clock time means little on a machine that is shared.
 """
 
 import argparse
@@ -19,10 +19,10 @@ from scipy.optimize import differential_evolution
 
 import ikjax
 from ikjax.synthesis import ascent
-from ikjax.synthesis.parameters import chosen
+from ikjax.synthesis.parameters import choose_parameters
 
 EVALUATIONS, COST, FINISH = 1200, 6, 300
-"""Of all goals; a gradient over a batch of them counts as its share of six."""
+"""Evaluations of all goals; a gradient over a batch of them counts as its share of six."""
 MANY = {"starts": 2, "batch": 1}
 INNER, OUTER, LEAST = 0.3, 1.0, 0.1
 
@@ -40,7 +40,7 @@ class Study(NamedTuple):
     """The known optimum."""
     starts: int = 1
     batch: int = 1
-    """So many batches make all goals."""
+    """Number of batches that make up all goals."""
 
     @property
     def steps(self) -> int:
@@ -53,17 +53,17 @@ class Study(NamedTuple):
 
 @functools.cache
 def _adam(steps: int):
-    # A short memory of squares: near a bound slopes shrink with the distance.
+    # A short average of squares: near a bound, gradients shrink with the distance.
     return optax.adam(optax.cosine_decay_schedule(0.2, steps), b2=0.9)
 
 
 def clearance_for_length(arm, sol, blur):
-    """Clearance to both rims of the ring, less half of all lengths."""
+    """Clearance to both rims of the ring, minus half of the total length."""
     return ikjax.objectives.worst_margin(arm, sol, blur) - 0.5 * arm.a.sum()
 
 
 def ring_2r() -> Study:
-    """Every point of a ring, clear of its rims: both links are best half of inner plus outer radius."""
+    """Every point of a ring, clear of its rims: the best length of both links is the mean of the radii."""
     r = np.linspace(INNER, OUTER, 64)
     best = np.full(2, (INNER + OUTER) / 2)
     goals, arm = ikjax.position(r, 0 * r, 0 * r, dtype=np.float64), ikjax.robots.planar_2r(0.9, 0.3)
@@ -72,7 +72,7 @@ def ring_2r() -> Study:
 
 
 def ring_3r() -> Study:
-    """The same with every heading: the last link is best as short as it may be, the others as before."""
+    """The same with every heading: the last link is best at its lower bound, the others as before."""
     r, phi = np.meshgrid(np.linspace(INNER, OUTER, 16), np.linspace(-np.pi, np.pi, 17))
     best = np.array([(INNER + OUTER) / 2] * 2 + [LEAST])
     goals = ikjax.planar_pose(r.ravel(), 0 * r.ravel(), phi.ravel(), dtype=np.float64)
@@ -81,7 +81,7 @@ def ring_3r() -> Study:
 
 
 def puma() -> Study:
-    """Where half of all orientations are reached within the limits: all lengths sum up to a metre."""
+    """The share of positions with half of all orientations within the limits; lengths of a metre together."""
     rng = np.random.default_rng(1)
     goals = np.tile(np.eye(4), (512, 16, 1, 1))
     goals[:, :, :3, 3] = rng.uniform(-1, 1, (512, 3))[:, None]
@@ -95,7 +95,7 @@ def puma() -> Study:
 
 
 def workpiece() -> Study:
-    """A UR5e with a tool before a barrel 2 m long, which it cannot reach all of: base and tool are placed."""
+    """A UR5e in front of a barrel 2 m long, which it cannot reach completely: base and tool are varied."""
     along, around = np.meshgrid(np.linspace(-1, 1, 100), np.linspace(-1.2, 1.2, 100))
     along, around = along.ravel(), around.ravel()
     out = np.stack([-np.cos(around), 0 * around, np.sin(around)], -1)
@@ -117,7 +117,7 @@ def workpiece() -> Study:
 
 
 def by_gradient(study: Study, seed: int):
-    """The exact score, its coordinates and the seconds of the climb and of its choice among starts."""
+    """The result of `design`, and its processor seconds, the choice among starts included."""
     started = time.process_time()
     found = ikjax.design(
         study.arm,
@@ -138,10 +138,10 @@ def by_gradient(study: Study, seed: int):
 
 
 class Counter:
-    """The exact score of shares between the bounds, and the best so far by evaluations and by time."""
+    """The exact score of coordinates (0 to 1 between the bounds), with a log of the best so far."""
 
     def __init__(self, score, enough):
-        self.score, self.enough, self.trail = score, enough, []
+        self.score, self.enough, self.log = score, enough, []
         self.best, self.where, self.started = -np.inf, None, time.process_time()
 
     def __call__(self, share) -> float:
@@ -149,17 +149,18 @@ class Counter:
         value = float(self.score(np.log(share) - np.log1p(-share)))
         if value > self.best:
             self.best, self.where = value, share
-        self.trail.append((time.process_time() - self.started, self.best))
-        if self.enough(len(self.trail), self.trail[-1][0]):
+        self.log.append((time.process_time() - self.started, self.best))
+        if self.enough(len(self.log), self.log[-1][0]):
             raise StopIteration
         return -value
 
-    def after(self, count: int | None = None, seconds: float | None = None) -> float:
-        kept = self.trail[:count] if count else [row for row in self.trail if row[0] <= seconds]
-        return kept[-1][1] if kept else -np.inf
+    def best_after(self, count: int | None = None, seconds: float | None = None) -> float:
+        rows = self.log[:count] if count else [row for row in self.log if row[0] <= seconds]
+        return rows[-1][1] if rows else -np.inf
 
 
 def by_rival(name: str, score, size: int, seed: int, enough) -> Counter:
+    """Run random search or differential evolution until `enough` evaluations and seconds have passed."""
     counter, rng = Counter(score, enough), np.random.default_rng(seed)
     try:
         if name == "random":
@@ -173,28 +174,31 @@ def by_rival(name: str, score, size: int, seed: int, enough) -> Counter:
 
 
 def plan_of(study: Study):
-    """What `design` compiles, for a score of our own to be compiled of the same parts."""
+    """The plan that `design` compiles, so that the rivals' score is compiled from the same parts."""
     arm = study.arm.astype(study.goals.dtype)
-    parameters = chosen(arm, study.vary, study.ties)
-    known = ascent.Known(arm)
-    return ascent.Plan(known, parameters, study.objective, (), study.optimizer, study.limits, None, 1)
+    parameters = choose_parameters(arm, study.vary, study.ties)
+    constant = ascent.ConstantArm(arm)
+    return ascent.DesignPlan(
+        constant, parameters, study.objective, (), study.optimizer, study.limits, None, 1
+    )
 
 
-def slope_error(study: Study, values: np.ndarray) -> float:
-    """The slope of the blurred score against differences in float64, relative, halfway to what was found."""
+def gradient_error(study: Study, values: np.ndarray) -> float:
+    """Relative error of the smooth score's gradient, against differences in float64, halfway to the
+    optimum."""
     with jax.enable_x64(True):
         goals = jnp.asarray(study.goals, jnp.float64)[::16]
         plan = plan_of(study._replace(goals=goals))
         made = plan.parameters
         z = jnp.asarray(made.coordinates((values + made.of(study.arm)) / 2))
         score = jax.jit(lambda z: plan.score(z, goals, 0.1))
-        slope = np.asarray(jax.jit(jax.grad(lambda z: plan.score(z, goals, 0.1)))(z))
-        rough = [float(score(z + 1e-5 * e) - score(z - 1e-5 * e)) / 2e-5 for e in np.eye(len(z))]
-        return float(np.abs(slope - rough).max() / np.abs(rough).max())
+        gradient = np.asarray(jax.jit(jax.grad(lambda z: plan.score(z, goals, 0.1)))(z))
+        differences = [float(score(z + 1e-5 * e) - score(z - 1e-5 * e)) / 2e-5 for e in np.eye(len(z))]
+        return float(np.abs(gradient - differences).max() / np.abs(differences).max())
 
 
-def confirmed(study: Study, found) -> str:
-    """The arms judged anew: by a sweep over other goals, or over the same in float64."""
+def confirmation(study: Study, found) -> str:
+    """An independent check of the arms: a sweep over other goals, or the same goals in float64."""
     if study.objective is ikjax.objectives.dexterous_share:
         volumes = []
         for arm in (found.start, found.arm):
@@ -212,7 +216,7 @@ def confirmed(study: Study, found) -> str:
 
 
 def run(study: Study, seeds: int) -> list[str]:
-    """Rows of the table."""
+    """Rows of the table, and a note on the study."""
     plan = plan_of(study)
     goals = study.goals
     compiled = jax.jit(lambda z, goals: plan.score(z, goals, 0))
@@ -223,7 +227,7 @@ def run(study: Study, seeds: int) -> list[str]:
     score(np.zeros(len(plan.parameters.names)))
     by_gradient(study, 0)  # compiles
     rows, far = [], []
-    # At equal evaluations and at equal time: lost, won, level.
+    # At equal evaluations, and at equal time: lost, won, equal.
     wins = {name: ([0, 0, 0], [0, 0, 0]) for name in ("random", "evolution")}
     scores = {"gradient": [], "random": [], "evolution": [], "random, time": [], "evolution, time": []}
     for seed in range(seeds):
@@ -237,12 +241,12 @@ def run(study: Study, seeds: int) -> list[str]:
                 seed,
                 lambda n, t, s=seconds: n >= EVALUATIONS and t >= s,
             )
-            both = one.after(count=EVALUATIONS), one.after(seconds=seconds)
+            both = one.best_after(count=EVALUATIONS), one.best_after(seconds=seconds)
             scores[name].append(both[0])
             scores[f"{name}, time"].append(both[1])
             for tally, b in zip(wins[name], both, strict=True):
                 tally[int(found.score > b) + 2 * int(found.score == b)] += 1
-            calls = sum(t <= seconds for t, _ in one.trail)
+            calls = sum(t <= seconds for t, _ in one.log)
             print(
                 f"  seed {seed} {seconds:.1f} s gradient {found.score:.6f} {name} {both[0]:.6f}, "
                 f"{both[1]:.6f} after {calls} calls in that time",
@@ -252,21 +256,22 @@ def run(study: Study, seeds: int) -> list[str]:
             far.append(float(np.abs(np.array(list(found.values.values())) - study.best).max()))
     best = np.array(list(found.values.values()))
 
-    def told(name):
+    def summary(name):
         return f"{np.mean(scores[name]):.4f} ({np.min(scores[name]):.4f} to {np.max(scores[name]):.4f})"
 
-    def counted(tally):
-        lost, won, level = tally
-        return f"{won}, {level}, {lost}"
+    def wins_in_words(tally):
+        lost, won, equal = tally
+        return f"{won}, {equal}, {lost}"
 
     for name in wins:
+        equal_evaluations = f"{summary(name)} | {wins_in_words(wins[name][0])}"
+        equal_time = f"{summary(name + ', time')} | {wins_in_words(wins[name][1])}"
         rows.append(
-            f"| {study.title} | {name} | {told('gradient')} | {told(name)} | {counted(wins[name][0])} | "
-            f"{told(name + ', time')} | {counted(wins[name][1])} |"
+            f"| {study.title} | {name} | {summary('gradient')} | {equal_evaluations} | {equal_time} |"
         )
     note = f"{study.title}: the given arm {found.start_score:.4f}"
-    note += f"; slope against differences {slope_error(study, best):.1e}"
-    note += f"; {confirmed(study, found)}; {seconds:.1f} s a study"
+    note += f"; gradient against differences {gradient_error(study, best):.1e}"
+    note += f"; {confirmation(study, found)}; {seconds:.1f} s a study"
     if far:
         note += f"; farthest from the known optimum over seeds {max(far):.1e} m"
     note += "; " + ", ".join(f"{k} {v:.3f}" for k, v in found.values.items())
@@ -284,8 +289,8 @@ def main() -> None:
         f"{EVALUATIONS} evaluations; jax {jax.__version__}",
         flush=True,
     )
-    head = "| study | rival | gradient: mean (worst to best) | rival, equal evaluations | won, level, lost "
-    head += "| rival, equal time | won, level, lost |"
+    head = "| study | rival | gradient: mean (worst to best) | rival, equal evaluations | won, equal, lost "
+    head += "| rival, equal time | won, equal, lost |"
     rows = [row for letter in wanted.studies for make in every[letter] for row in run(make(), wanted.seeds)]
     print(head, "|---|---|---|---|---|---|---|", *(row for row in rows if row[0] == "|"), sep="\n")
     print(*(f"\n{row}" for row in rows if row[0] != "|"), sep="\n")

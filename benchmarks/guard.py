@@ -1,13 +1,13 @@
-"""Whether the library is as fast where users stand as in its own loops: `make guard`, under three minutes.
+"""Whether users' calls are about as fast as the library's own loops: `make guard`, under three minutes.
 
-Every figure is a ratio of two times from this one process, so that it holds on any machine: how many times
-slower a user's call is than the library's own kernel, sweep or an empty program. A ratio above its bound
-fails the run. Bounds are two to three times what was measured when they were set, on two cores without
+Every figure is a ratio of two times of one process, so that it can be compared between machines: how many
+times slower a user's call is than the library's own kernel, its sweep, or an empty program. A ratio above its
+bound fails the run. Bounds are two to three times what was measured when they were set, on two cores without
 AVX-512.
 
     python benchmarks/guard.py [--only WORD] [--results FILE]
 
-Run it alone on the machine: other work slows a loop and a dispatch by different factors.
+Run it on an idle machine: other work slows a loop and a dispatch by different factors.
 """
 
 import argparse
@@ -64,7 +64,7 @@ class Row:
         return self.ratio <= self.most
 
 
-def ur5e_from_its_file() -> ikjax.Arm:
+def ur5e_from_urdf() -> ikjax.Arm:
     links = "".join(f'<link name="l{i}"/>' for i in range(7))
     joints = "".join(
         f'<joint name="j{i}" type="revolute"><parent link="l{i}"/><child link="l{i + 1}"/>'
@@ -91,11 +91,11 @@ class Bounds(NamedTuple):
     eager: float
     joints: float | None = None
     gradient: float | None = None
-    """None where it is not measured: it compiles long."""
+    """None where it is not measured, because it compiles for long."""
 
 
 def in_a_jit(name: str, bounds: Bounds) -> list[Row]:
-    """Masks and joints in a user's own jit, against the kernel and the sweep."""
+    """Masks and joints in a user's own jit, compared with the kernel and the sweep."""
     arm = ikjax.robots.get(name)
     goals, q_now = goals_of(arm, GOALS), jnp.zeros(arm.n, jnp.float32)
     batch = own.Batch.of(arm, GOALS)
@@ -124,7 +124,7 @@ def in_a_jit(name: str, bounds: Bounds) -> list[Row]:
 
 
 def one_goal() -> list[Row]:
-    """One goal eager, against an empty program of the same outputs."""
+    """One eager goal, compared with an empty program of the same outputs."""
     arm = ikjax.robots.puma560()
     goal = goals_of(arm, 1)[0]
     sol = ikjax.solve(arm, goal)
@@ -143,9 +143,9 @@ def one_goal() -> list[Row]:
     ]
 
 
-def own_file() -> list[Row]:
-    """A UR5e from its own description against the catalogue's."""
-    arms = {"file": ur5e_from_its_file(), "catalogue": ikjax.robots.get("ur5e")}
+def arm_from_file() -> list[Row]:
+    """A UR5e from its URDF file, compared with the catalogue's."""
+    arms = {"file": ur5e_from_urdf(), "catalogue": ikjax.robots.get("ur5e")}
     goals = goals_of(arms["catalogue"], GOALS // 4)
     swept = {what: own.sweep(arm, "float32", 4e6, 3)[0].timing.median for what, arm in arms.items()}
     eager = {what: seconds_of(lambda arm=arm: ikjax.solve(arm, goals)) for what, arm in arms.items()}
@@ -155,8 +155,8 @@ def own_file() -> list[Row]:
     ]
 
 
-def projected() -> list[Row]:
-    """The nearest attainable pose, against its closed form alone."""
+def projection_rows() -> list[Row]:
+    """The nearest attainable pose, compared with its closed form alone."""
     arm, count = ikjax.robots.so101(), 8192
     goals = projection.goals_of(arm, count).astype("float32")
     kernel = count / (projection.kernel(arm, goals, "float32", RUNS) * 1e6)
@@ -173,8 +173,8 @@ def yardstick(x):
     return x
 
 
-def compiled() -> list[Row]:
-    """Compile seconds against those of a fixed program."""
+def compile_time() -> list[Row]:
+    """Compile time, compared with that of a fixed program."""
 
     def once(f, *arguments) -> float:
         started = time.perf_counter()
@@ -199,12 +199,12 @@ def compiled() -> list[Row]:
 
 
 PARTS: dict[str, Callable[[], list[Row]]] = {
-    "compile": compiled,
+    "compile": compile_time,
     "puma": lambda: in_a_jit("puma560", Bounds(10, 0.9, 25, 25, 50)),
     "ur5": lambda: in_a_jit("ur5", Bounds(10, 1.1, 20)),
     "one": one_goal,
-    "file": own_file,
-    "project": projected,
+    "file": arm_from_file,
+    "project": projection_rows,
 }
 
 

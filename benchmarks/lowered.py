@@ -1,11 +1,11 @@
-"""Whether a change of names or files changed a program: hashes of what is handed to XLA.
+"""Whether a change of names or files changed a program: hashes of the text that goes to XLA.
 
     python benchmarks/lowered.py --out before.json
     python benchmarks/lowered.py --check before.json
 
 For three families in both types: `solve` (an eager block, and in a jit), `project`, a gradient, a step of a
-sweep and a step of a design; for others some of these. Nothing of them is compiled. Names of functions are
-numbered in the order in which they appear, so that a rename does not count.
+sweep and a step of a design; for other families some of these. None of them is compiled. Names of functions
+are numbered in the order in which they appear, so that a rename does not count.
 """
 
 import argparse
@@ -29,7 +29,7 @@ ARMS = {"puma560": "a2", "ur5": "a2", "so101": "a2"}
 """What a design of each varies."""
 
 FURTHER = ("stanford", "gx4_351s", "planar_prr", "ur5 with a correction")
-"""Other families in float32, of which fewer programs are looked at."""
+"""Other families in float32, with fewer programs each."""
 
 
 class LoweredError(Exception):
@@ -58,12 +58,12 @@ def first_compiled(call: Callable) -> str:
 
 
 def design_step(arm: ikjax.Arm, goals: jax.Array, varied: str) -> str:
-    chunk = ascent.chunk
+    take_steps = ascent.take_steps
 
     def stop(*arguments):
-        raise LoweredError(chunk.lower(*arguments).as_text())
+        raise LoweredError(take_steps.lower(*arguments).as_text())
 
-    with mock.patch.object(ascent, "chunk", stop):
+    with mock.patch.object(ascent, "take_steps", stop):
         try:
             ikjax.design(arm, goals, {varied: (0.1, 0.6)}, starts=2, steps=2)
         except LoweredError as lowered:

@@ -1,8 +1,8 @@
-"""One process of `maps.py` that sweeps and says what it took: `python map_child.py JSON`, told in JSON.
+"""One process of `maps.py`, which sweeps and prints times and memory as JSON: `python map_child.py JSON`.
 
-Asked for: "arm", "goals" (about so many), "dtype"; "outs", where each sweep goes, null for memory alone;
-"warm", whether to compile before the first; "began", when the process was started [s since 1970]; "crew",
-[coordinator, processes, number], where several share a sweep.
+Keys of the request: "arm"; "goals", about how many; "dtype"; "outs", where each sweep is stored, null for
+memory only; "warm", whether to compile before the first; "began", when the process was started [s since
+1970]; "distributed", [coordinator, processes, number], where several processes share a sweep.
 """
 
 import collections
@@ -26,34 +26,34 @@ ORIENTATIONS = 512
 
 PARTS = {
     "Lock": ("__enter__", "__exit__"),
-    "Store": ("__init__", "prepare", "survey", "put", "settle", "say"),
+    "Store": ("__init__", "prepare", "survey", "put", "settle", "write_state"),
 }
-"""What the thread that leads a sweep does for the store."""
+"""The store's methods that the main thread of a sweep calls."""
 
 
 def grid_of(arm: ikjax.Arm, goals: float, orientations: int = ORIENTATIONS):
-    """A cubic grid about the arm, with its orientations of about so many goals."""
+    """A cubic grid about the arm that has about `goals` goals with its orientations."""
     steps = max(1, round(((goals / orientations) ** (1 / 3) - 1) / 2))
     radius = -ikjax.maps.around(arm, 1e-4).origin[0] + float(arm.base[0, 3])
     return ikjax.maps.around(arm, radius / (steps - 0.5))
 
 
 def warm(**sweep) -> None:
-    """Compile a sweep, and do no more of it."""
+    """Compile a sweep, and stop it."""
     with contextlib.suppress(SweepStoppedError):
         ikjax.sweep(**sweep, stop=lambda ended: "warm")
 
 
-def clocked(spent: dict[str, float]) -> None:
-    """Let the parts of a store say how long they kept whoever called them."""
+def time_store(spent: dict[str, float]) -> None:
+    """Add up the seconds that callers spend in the parts of a store."""
     for name, methods in PARTS.items():
         part = getattr(lock, name, None) or getattr(store, name)
         for method in methods:
             label = f"{name}.{method.strip('_')}"
-            setattr(part, method, _clocked(getattr(part, method), spent, label))
+            setattr(part, method, _timed(getattr(part, method), spent, label))
 
 
-def _clocked(call: Callable, spent: dict[str, float], label: str) -> Callable:
+def _timed(call: Callable, spent: dict[str, float], label: str) -> Callable:
     @functools.wraps(call)
     def timed(*args, **more):
         started = time.perf_counter()
@@ -66,7 +66,7 @@ def _clocked(call: Callable, spent: dict[str, float], label: str) -> Callable:
 
 
 def threads() -> collections.Counter:
-    """Processor seconds of this process by the names of its threads, on Linux; "lead" is the first."""
+    """Processor seconds of this process by the names of its threads, on Linux; the first is called "lead"."""
     seconds: collections.Counter = collections.Counter()
     for file in Path("/proc/self/task").glob("*/stat"):
         name, _, rest = file.read_text().partition("(")[2].rpartition(")")
@@ -76,32 +76,32 @@ def threads() -> collections.Counter:
     return seconds
 
 
-def main(asked: dict) -> dict:
-    """What each sweep took, and the greatest memory of the process."""
-    jax.config.update("jax_enable_x64", asked["dtype"] == "float64")
-    if asked.get("crew"):
-        jax.distributed.initialize(*asked["crew"])
-    arm = ikjax.robots.get(asked["arm"])
-    sweep = {"arm": arm, "positions": grid_of(arm, asked["goals"]), "orientations": ORIENTATIONS}
-    sweep["dtype"] = asked["dtype"]
+def main(request: dict) -> dict:
+    """Times of each sweep, and the greatest memory of the process."""
+    jax.config.update("jax_enable_x64", request["dtype"] == "float64")
+    if request.get("distributed"):
+        jax.distributed.initialize(*request["distributed"])
+    arm = ikjax.robots.get(request["arm"])
+    sweep = {"arm": arm, "positions": grid_of(arm, request["goals"]), "orientations": ORIENTATIONS}
+    sweep["dtype"] = request["dtype"]
     spent: dict[str, float] = collections.defaultdict(float)
-    clocked(spent)
-    if asked.get("warm"):
-        warm(**sweep, out=f"{asked['outs'][0]}.warm") if asked.get("crew") else warm(**sweep)
-    told = []
-    for out in asked["outs"]:
+    time_store(spent)
+    if request.get("warm"):
+        warm(**sweep, out=f"{request['outs'][0]}.warm") if request.get("distributed") else warm(**sweep)
+    results = []
+    for out in request["outs"]:
         spent.clear()
         before, begun = threads(), time.time()
         reach = ikjax.sweep(**sweep, out=out, force=True)
         ended = time.time()
         cpu = {name: after - before[name] for name, after in threads().items() if after > before[name]}
-        told.append(
+        results.append(
             {"out": out, "begun": begun, "ended": ended, "seconds": reach.seconds, "cpu": cpu}
             | {"goals": reach.goals, "parts": dict(spent)}
         )
-    # Linux says kibibytes, macOS bytes.
+    # ru_maxrss is in kibibytes on Linux, in bytes on macOS.
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
-    return {"sweeps": told, "peak": peak, "wall": time.time() - asked.get("began", time.time())}
+    return {"sweeps": results, "peak": peak, "wall": time.time() - request.get("began", time.time())}
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Pictures of maps, measured."""
+"""Pictures of the measurements of maps."""
 
 from pathlib import Path
 
@@ -7,19 +7,24 @@ import numpy as np
 from ikjax.plot.style import COLORS, DIVERGING, MAP, STYLE, finish, pyplot
 
 
-def growth(grown: list[dict], path: Path) -> None:
-    """Time and memory against goals."""
+def growth(results: list[dict], path: Path) -> None:
+    """Time and memory over the number of goals."""
     plt = pyplot()
-    goals = [told["sweeps"][0]["goals"] for told in grown]
+    goals = [result["sweeps"][0]["goals"] for result in results]
     with plt.rc_context(STYLE):
         figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained")
-        whole, swept = [told["wall"] for told in grown], [told["sweeps"][0]["seconds"] for told in grown]
-        slope = swept[-1] / goals[-1]
-        left.plot(goals, [slope * n for n in goals], color="#999999", lw=1, ls=(0, (5, 4)), zorder=1)
+        whole, swept = (
+            [result["wall"] for result in results],
+            [result["sweeps"][0]["seconds"] for result in results],
+        )
+        seconds_per_goal = swept[-1] / goals[-1]
+        left.plot(
+            goals, [seconds_per_goal * n for n in goals], color="#999999", lw=1, ls=(0, (5, 4)), zorder=1
+        )
         left.loglog(goals, whole, "o-", color=COLORS[0], label="whole process, compile and all")
         left.loglog(goals, swept, "s-", color=COLORS[1], label="the sweep")
         left.set(xlabel="goals", ylabel="seconds", title="Time; dashed: proportional to goals")
-        peak, disk = ([told[key] / 1e6 for told in grown] for key in ("peak", "disk"))
+        peak, disk = ([result[key] / 1e6 for result in results] for key in ("peak", "disk"))
         right.loglog(goals, peak, "o-", color=COLORS[0], label="greatest memory of the process")
         right.loglog(goals, disk, "s-", color=COLORS[1], label="the map on disk")
         right.axhline(1000, color="#999999", lw=1, ls=(0, (5, 4)))
@@ -32,18 +37,18 @@ def growth(grown: list[dict], path: Path) -> None:
 
 
 def sampled(ours, shown: list, path: Path) -> None:
-    """Upright slices through the base: our map, sampled ones, the differences, and the errors.
+    """Vertical slices through the base: our map, sampled ones, the differences, and the errors.
 
     Args:
         ours: A `ReachMap` with its mask.
-        shown: For growing numbers of samples: the number, dexterity (x, y, z), errors by name.
-        path: Where to.
+        shown: For each number of samples: the number, dexterity (x, y, z), errors by name.
+        path: Where to save the picture.
     """
     plt = pyplot()
-    layer = int(np.abs(ours.grid.axis(1) - float(ours.arm.base[1, 3])).argmin())
+    layer = int(np.abs(ours.positions.axis(1) - float(ours.arm.base[1, 3])).argmin())
     truth = ours.reached().mean(-1)
-    x, z = ours.grid.axis(0), ours.grid.axis(2)
-    half = ours.grid.spacing / 2
+    x, z = ours.positions.axis(0), ours.positions.axis(2)
+    half = ours.positions.spacing / 2
     frame = [x[0] - half, x[-1] + half, z[0] - half, z[-1] + half]
     settings = {"origin": "lower", "extent": frame, "interpolation": "nearest"}
     with plt.rc_context(STYLE):
@@ -82,6 +87,6 @@ def _errors(ax, shown: list) -> None:
 
 
 def _power(n: int) -> str:
-    """10^6 where it is one, else its digits."""
+    """A power of ten as 10^6, any other number in digits."""
     digits = str(n)
     return f"$10^{len(digits) - 1}$" if digits == "1" + "0" * (len(digits) - 1) else f"{n:,}"

@@ -1,6 +1,7 @@
-"""How fast sweeps are: five arms, both types, the usual statistics, limits among them.
+"""How fast sweeps are: five arms, both types, the default statistics, joint limits included.
 
-The SO-101 has a second row, in which every goal is projected in closed form and counted where that is near.
+The SO-101 has a second row, in which every goal is projected in closed form and statistic if the result is
+near.
 """
 
 import sys
@@ -30,11 +31,12 @@ TARGETS = {
     ("quartic", "float32"): 8,
     ("so101, near", "float32"): 3,
 }
-"""Millions of goals a second, on two cores."""
+"""Millions of goals per second, on two cores."""
 
 
 def arm_of(name: str) -> ikjax.Arm:
-    """An arm of the catalogue; "quartic" is three joints of general twists before a square wrist."""
+    """An arm of the catalogue; "quartic" has three joints of general twists before a wrist of perpendicular
+    axes."""
     if name != "quartic":
         return ikjax.robots.get(name.partition(",")[0])
     return ikjax.Arm.from_dh(
@@ -74,9 +76,9 @@ def measure(given) -> str:
 
 def _row(name: str, dtype: str, goals: float) -> list[str]:
     arm = arm_of(name)
-    counted, more = "reachable_within", {}
+    statistic, more = "reachable_within", {}
     if name.endswith("near"):
-        counted, more = NEAR.name, {"statistics": [NEAR]}
+        statistic, more = NEAR.name, {"statistics": [NEAR]}
     sweep = {
         "arm": arm.astype(dtype),
         "positions": map_child.grid_of(arm, goals),
@@ -97,7 +99,7 @@ def _row(name: str, dtype: str, goals: float) -> list[str]:
         report.figure(rate),
         f"{report.figure(slow)}-{report.figure(fast)}",
         "" if target is None else report.target(f">= {target}", rate >= target),
-        f"{np.sum(maps[0].arrays[counted]) / maps[0].goals:.2%}",
+        f"{np.sum(maps[0].arrays[statistic]) / maps[0].goals:.2%}",
         f"{compile_seconds:.1f}",
         report.figure(1e6 / rate / 3600),
     ]

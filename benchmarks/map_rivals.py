@@ -1,4 +1,4 @@
-"""Against whom maps are measured, on the same grids in the same run: EAIK, and sampled joints."""
+"""Maps of rivals, on the same grids in the same run: EAIK in a loop, and sampled joints."""
 
 import sys
 import time
@@ -25,20 +25,20 @@ OWN = "cells missed, met later"
 
 
 def measure(given) -> str:
-    """All tables, as Markdown; a picture beside."""
+    """All tables, as Markdown; a picture is written too."""
     arm = ikjax.robots.get(ARM)
     return f"## Rivals\n\n{_eaik(arm, given.quick)}\n\n{_sampled(arm, given)}"
 
 
 def swept(arm, grid, orientations, statistics) -> tuple[ikjax.ReachMap, float]:
-    """Our map, and the seconds of the median run, without the compile."""
+    """Our map, and the seconds of the median run, without compile time."""
     sweep = {"positions": grid, "orientations": orientations, "statistics": statistics, "dtype": "float32"}
     runs = sorted((ikjax.sweep(arm, **sweep) for _ in range(RUNS)), key=lambda reach: reach.seconds)
     return runs[RUNS // 2], runs[RUNS // 2].seconds
 
 
 def _eaik(arm, quick: bool) -> str:
-    """Goals made, solved by EAIK, limits checked, counted: a map, and its seconds."""
+    """A map by EAIK: goals are made, solved, checked against the limits and counted, all timed."""
     grid = map_child.grid_of(arm, EAIK_QUICK if quick else EAIK_GOALS, EAIK_ORIENTATIONS)
     try:
         robot = rivals.eaik_robot(arm)
@@ -77,7 +77,7 @@ def _eaik(arm, quick: bool) -> str:
 
 
 def _reached(arm, found: list) -> np.ndarray:
-    """Whether each goal has an exact answer within the limits, whole turns tried."""
+    """Whether each goal has an exact answer within the limits, at any whole turn."""
     sizes = [len(each.Q) for each in found]
     joints = np.concatenate([each.Q for each in found if len(each.Q)])
     exact = ~np.concatenate([np.asarray(each.is_LS, bool) for each in found if len(each.Q)])
@@ -87,7 +87,7 @@ def _reached(arm, found: list) -> np.ndarray:
 
 
 def _sampled(arm, given) -> str:
-    """A map of sampled joints beside ours, cell by cell, as samples are added."""
+    """A map of sampled joints compared with ours, cell by cell, for growing numbers of samples."""
     orientations = ikjax.maps.hopf(LEVEL)
     cells, samples = (CELLS_QUICK, SAMPLES_QUICK) if given.quick else (CELLS, SAMPLES)
     grid = map_child.grid_of(arm, cells, orientations.count)
@@ -96,21 +96,21 @@ def _sampled(arm, given) -> str:
     truth = ours.reached()
     theirs = map_sampled.Sampler(arm, grid, orientations)
     theirs.check()
-    body, shown, kept = [], [], []
+    body, shown, all_marks = [], [], []
     for count in samples:
-        theirs.until(count)
+        theirs.sample_until(count)
         marks = theirs.marks()
         errors = compare(truth, marks)
         shown.append((theirs.samples, marks.sum(-1) / orientations.count, errors))
         rates = [theirs.samples / theirs.seconds / 1e6, theirs.seconds / own]
         body.append([f"{theirs.samples:,}", f"{theirs.seconds:.2f}", *(report.figure(x) for x in rates)])
-        told = {key: f"{errors[key]:.2%}" for key in ERRORS}
-        told["cells missed"] += f" ({(truth & ~marks).sum():,})"
-        body[-1] += told.values()
-        kept.append(marks.copy())
+        columns = {key: f"{errors[key]:.2%}" for key in ERRORS}
+        columns["cells missed"] += f" ({(truth & ~marks).sum():,})"
+        body[-1] += columns.values()
+        all_marks.append(marks.copy())
         print(" | ".join(body[-1]), file=sys.stderr, flush=True)
-    for line, marks in zip(body, kept, strict=True):
-        line.append(f"{compare(kept[-1] | truth, marks)['cells missed']:.2%}")
+    for line, marks in zip(body, all_marks, strict=True):
+        line.append(f"{compare(all_marks[-1] | truth, marks)['cells missed']:.2%}")
     map_pictures.sampled(ours, shown, given.pictures / "maps_sampled.png")
     head = ["samples", "seconds", "M samples/s", "x our time", *ERRORS, OWN]
     return (
@@ -127,8 +127,9 @@ def _sampled(arm, given) -> str:
 def compare(truth: np.ndarray, marks: np.ndarray) -> dict[str, float]:
     """Shares by which marks (..., orientations) differ from the truth.
 
-    Missed: of what is reached, what has no mark. More: marks on cells whose middle is not reached, as a
-    share of the reached cells. Dexterity: the mean difference over positions that are reached.
+    Missed: reached cells without a mark, as a share of the reached ones. More: marked cells whose middle is
+    not reached, also as a share of the reached cells. Dexterity: the mean difference over positions that are
+    reached.
     """
     reached, hit = truth.any(-1), marks.any(-1)
     gap = np.abs(truth.mean(-1) - marks.mean(-1))

@@ -1,12 +1,13 @@
-"""The rival map: joints at random, forward kinematics, and a mark on the cell in which the pose falls.
+"""The rival map: random joints, forward kinematics, and a mark on the cell that contains the pose.
 
-So maps of reachability are made from Zacharias, Borst and Hirzinger (IROS 2007) and Vahrenkamp, Asfour and
-Dillmann (Simox) to RM4D (Rudorfer, arXiv 2410.06968, 2024). Here as fast as we could make it: one fused loop
-of jax in float32 that makes joints, pose and cell, and numpy that marks while the next batch is under way.
+Maps of reachability are made in this way by Zacharias, Borst and Hirzinger (IROS 2007), Vahrenkamp, Asfour
+and Dillmann (Simox) and RM4D (Rudorfer, arXiv 2410.06968, 2024). Here it is as fast as we could make it: one
+fused loop of jax in float32 computes joints, pose and cell, and numpy sets the marks while the next batch is
+computed.
 
-A cell is a cube about a position of the grid and all rotations whose tool axis falls into a pixel of HEALPix
-and whose turn about it is nearest. A mark says that some pose of the cell was met, not that its middle, which
-is the goal of our map, is reached.
+A cell is a cube about a position of the grid, with all rotations whose tool axis is in one pixel of HEALPix
+and whose turn about that axis is nearest. A mark means that some pose of the cell was sampled, not that its
+middle, which is the goal of our map, is reached.
 """
 
 import functools
@@ -20,22 +21,24 @@ import numpy as np
 
 from ikjax.core import vector
 from ikjax.core.trig import atan2, sincos
-from ikjax.ik.batched import wide_vectors
+from ikjax.core.xla import wide_vectors
 
 BATCH = 500_000
 
 
 class Sampler:
-    """Marks cells of a box grid x a Hopf grid, for an arm of joints that turn."""
+    """Marks cells of a box grid x a Hopf grid, for an arm of revolute joints."""
 
     def __init__(self, arm, grid, orientations):
         self.arm, self.grid, self.orientations = arm.astype("float32").baked(), grid, orientations
         self.hits = np.zeros(grid.count * orientations.count, bool)
         self.samples, self.seconds = 0, 0.0
-        self._cells = jax.jit(self.drawn, compiler_options=wide_vectors()).lower(np.uint32(0)).compile()
+        self._cells = (
+            jax.jit(self.sampled_cells, compiler_options=wide_vectors()).lower(np.uint32(0)).compile()
+        )
 
     def check(self) -> None:
-        """Raise unless its poses are those of `check.fk` and the middle of every cell is in that cell."""
+        """Raise unless poses agree with `check.fk` and the middle of every cell is in that cell."""
         q = self.joints(np.uint32(0))
         rotation, position = forward(self.arm, q)
         poses = check.fk(self.arm, np.stack(q, -1)[:1000].astype(float))
@@ -56,14 +59,14 @@ class Sampler:
         if not same or max(gap) > 1e-5:
             raise RuntimeError(f"the sampler is wrong: cells {same}, poses off by {max(gap):.1e}")
 
-    def until(self, samples: int) -> None:
-        """Draw on to so many samples."""
+    def sample_until(self, samples: int) -> None:
+        """Draw until there are at least this many samples."""
         started = time.perf_counter()
         batches = range(self.samples // BATCH, -(-samples // BATCH))
         waiting = None
         for number in [*batches, None]:
             ready = waiting
-            # The next batch is under way while this one is marked.
+            # The next batch is computed while this one is marked.
             waiting = None if number is None else self._cells(np.uint32(number * BATCH))
             if ready is not None:
                 self.hits[np.asarray(ready)] = True
@@ -75,14 +78,14 @@ class Sampler:
         return self.hits.reshape(*self.grid.shape, self.orientations.count)
 
     def joints(self, first) -> list[jax.Array]:
-        """A batch, even within the limits; a joint with none turns once."""
+        """A batch, uniform within the limits; a joint without limits covers one turn."""
         number = first + jnp.arange(BATCH, dtype=jnp.uint32)
         low, high = np.asarray(self.arm.limits, np.float32).T
         low, high = np.where(np.isfinite(low), low, -np.pi), np.where(np.isfinite(high), high, np.pi)
         parts = enumerate(zip(low, high, strict=True))
-        return [np.float32(a) + np.float32(b - a) * even(number, k) for k, (a, b) in parts]
+        return [np.float32(a) + np.float32(b - a) * uniform(number, k) for k, (a, b) in parts]
 
-    def drawn(self, first) -> jax.Array:
+    def sampled_cells(self, first) -> jax.Array:
         """Cells (BATCH,) of a batch."""
         return self.cell(*forward(self.arm, self.joints(first)))
 
@@ -95,8 +98,8 @@ class Sampler:
         return place * self.orientations.count + orientation(self.orientations, rotation)
 
 
-def even(number, stream: int) -> jax.Array:
-    """Random numbers on [0, 1), one for each of up to 2^32: jax's own take twice as long as all the rest.
+def uniform(number, stream: int) -> jax.Array:
+    """Random numbers on [0, 1) by hashing their index: jax's own take twice as long as all the rest.
 
     Source: Wellons, hash-prospector, triple32.
     """
@@ -108,7 +111,7 @@ def even(number, stream: int) -> jax.Array:
 
 
 def forward(arm, q):
-    """Rotation and position as scalars of joints, one array each; the arm's numbers are constants."""
+    """Rotation and position in scalars, one array each; the arm's numbers are constants."""
     table = [np.asarray(getattr(arm, name), np.float32) for name in ("a", "alpha", "d", "theta")]
     pose = _parts(arm.base)
     for angle, a, alpha, d, theta in zip(q, *table, strict=True):
@@ -119,7 +122,7 @@ def forward(arm, q):
 
 
 def _round(x: float) -> float:
-    """Right angles are right: what float32 made of pi / 2 has a cosine of 4e-8."""
+    """Exact values at right angles: pi / 2 rounded to float32 has a cosine of 4e-8."""
     return round(x) if abs(x - round(x)) < 1e-6 else x
 
 
@@ -151,8 +154,8 @@ def _plus(a, b):
 def orientation(hopf, rotation) -> jax.Array:
     """The rotation of a Hopf grid in whose cell each rotation is."""
     chosen = pixel(hopf.side, *(row[2] for row in rotation))
-    # The first two columns of what turns z to the middle of the pixel: looked up, as whole numbers are
-    # divided one by one.
+    # The first two columns of the rotation from z to the middle of the pixel, from a table: computing them
+    # needs integer divisions, which are not vectorized.
     tilts = hopf.rotations.reshape(-1, hopf.turns, 3, 3)[:, 0, :, :2].astype(np.float32)
     one, two = ([jnp.asarray(tilts[:, i, k])[chosen] for i in range(3)] for k in range(2))
     x, y, _ = zip(*rotation, strict=True)
@@ -171,7 +174,7 @@ def pixel(n: int, x, y, z):
     """
     quarter = atan2(y, x) * np.float32(2 / math.pi)
     quarter = jnp.where(quarter < 0, quarter + 4, quarter)
-    # The belt: rising and falling lines that bound the diamonds.
+    # The equatorial belt: rising and falling lines bound the pixels.
     rising = jnp.floor(n * (0.5 + quarter - 0.75 * z)).astype(jnp.int32)
     falling = jnp.floor(n * (0.5 + quarter + 0.75 * z)).astype(jnp.int32)
     ring = n + 1 + rising - falling
@@ -179,7 +182,7 @@ def pixel(n: int, x, y, z):
     belt_place = (rising + falling - n + odd + 1) >> 1
     belt_place = jnp.where(belt_place >= 4 * n, belt_place - 4 * n, belt_place)
     belt = 2 * n * (n - 1) + (ring - 1) * 4 * n + belt_place
-    # The caps.
+    # The polar caps.
     part = quarter - jnp.floor(quarter)
     # n sqrt(3 (1 - |z|)), from the other components: near a pole 1 - |z| has lost its digits.
     wide = n * jnp.sqrt(3 * (x * x + y * y) / (1 + jnp.abs(z)))

@@ -1,7 +1,7 @@
-"""Maps in float32 against float64, goal by goal, without and with `certify`.
+"""Maps in float32 compared with float64, goal by goal, without and with `certify`.
 
-A goal that differs is solved again in float64: how near it is to where some branch ends, a fold or a joint
-limit, says whether rounding explains it.
+A goal that differs is solved again in float64. Its distance to the nearest end of a branch, a fold or a joint
+limit, shows whether rounding explains the difference.
 """
 
 import sys
@@ -12,11 +12,12 @@ import numpy as np
 import report
 
 import ikjax
+from ikjax.arm.forward import reach as reach_of
 
 ARMS = ("puma560", "ur5", "quartic")
 GOALS, QUICK = 1e7, 3e5
 MOST = 10**4
-"""Goals that are looked at again."""
+"""Goals that are solved again."""
 
 
 def measure(given) -> str:
@@ -52,7 +53,7 @@ def _row(name: str, goals: float) -> list[str]:
     left = int((certified.reached() != truth).sum())
     rng = np.random.default_rng(0)
     far = clearance(arm, wide, rng.permutation(apart)[:MOST]).max(initial=0.0)
-    # What that number means: the same of goals that are reached, whatever their type says.
+    # For comparison: the same distance of goals drawn from all that are reached.
     others = rng.permutation(np.argwhere(truth))[:MOST]
     return [
         name,
@@ -67,18 +68,18 @@ def _row(name: str, goals: float) -> list[str]:
 
 
 def clearance(arm: ikjax.Arm, reach: ikjax.ReachMap, cells: np.ndarray) -> np.ndarray:
-    """How near goals are to where some branch ends: a fold, in reaches, or a valid one's limit [rad].
+    """Distance of goals to the nearest end of a branch: a fold, in reaches, or a limit of a valid one [rad].
 
     Args:
         arm: In float64.
         reach: Its map.
-        cells: (n, 4) places of positions and orientations.
+        cells: (n, 4) indices of positions and orientations.
     """
     goals = np.broadcast_to(np.eye(4), (len(cells), 4, 4)).copy()
     goals[:, :3, :3] = reach.rotations[cells[:, 3]]
     goals[:, :3, 3] = reach.positions.points()[tuple(cells[:, :3].T)]
     sol = ikjax.solve(arm, goals)
-    size = float(ikjax.solvers.pipeline.reach(arm))
+    size = float(reach_of(arm))
     folds = np.abs(np.asarray(sol.margin)) / size
     low, high = np.asarray(arm.limits, float).T
     bounds = np.stack([low, high], axis=-1)

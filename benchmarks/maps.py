@@ -1,10 +1,10 @@
-"""What maps cost: `python benchmarks/maps.py rates|linear|rivals|devices|types|all [--quick]`.
+"""Time and memory of maps: `python benchmarks/maps.py rates|linear|rivals|devices|types|all [--quick]`.
 
     rates     sweeps of five arms in both types; `--only ARM` for one of them
-    linear    time and memory from 10^6 to 10^9 goals, a process each, and what storing takes of the time
+    linear    time and memory from 10^6 to 10^9 goals, a process each, and how much time storing costs
     rivals    EAIK in the same loop, and maps of sampled joints, on the same grids in the same run
-    devices   two devices, and two processes, against one, on the same cores
-    types     float32, and float32 certified, against float64
+    devices   two devices, and two processes, compared with one, on the same cores
+    types     float32, and certified float32, compared with float64
     all       all of these; with `--out` and `--pictures` what `make maps` writes
 
 What each figure means: README.md.
@@ -37,13 +37,13 @@ PARTS = {
 
 
 def main() -> int:
-    """Measure what is asked for and write it down."""
+    """Measure the requested parts and write the report."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("part", choices=(*PARTS, "all"))
     parser.add_argument("--only", metavar="ARM", help="of the rates, those of one arm")
-    parser.add_argument("--quick", action="store_true", help="small sizes: does it run, not how fast")
+    parser.add_argument("--quick", action="store_true", help="small sizes: only to see that it runs")
     parser.add_argument("--out", type=Path, default=Path("out/maps.md"))
     parser.add_argument("--pictures", type=Path, default=Path("out"), help="a folder")
     given = parser.parse_args()
@@ -60,7 +60,7 @@ def main() -> int:
         except Exception as error:
             traceback.print_exc()
             parts.append(f"## Not measured: {name}\n\n{type(error).__name__}: {error}")
-        # At once, so that what was measured is kept if the next part is killed.
+        # After every part, so that the results so far remain if the next part is killed.
         given.out.write_text("\n\n".join(parts) + "\n")
         print(f"{parts[-1]}\n", flush=True)
     return 0

@@ -1,6 +1,6 @@
 """The picture of margin fields in the documentation: `python benchmarks/margins.py [docs/margins.png]`.
 
-The best margin of a goal over all branches, inside and outside the workspace, with the way that it climbs.
+The best margin of a goal over all branches, inside and outside the workspace, with its gradient.
 """
 
 import dataclasses
@@ -35,7 +35,7 @@ def panels():
 
 
 def field(arm, pose, half, limits, count):
-    """Coordinates, best margins (count, count), what is reached, and the margins' slopes along the plane."""
+    """Coordinates, best margins (count, count), what is reached, and the margins' gradient in the plane."""
     line = jnp.linspace(-half, half, count)
     u, v = jnp.meshgrid(line, line)
 
@@ -47,8 +47,8 @@ def field(arm, pose, half, limits, count):
             sol = ikjax.within_limits(arm, sol) if limits else sol
             return best.sum(), (best, sol.valid.any(-1))
 
-        (_, found), slopes = jax.value_and_grad(total, (0, 1), has_aux=True)(u, v)
-        return *found, *slopes
+        (_, found), gradient = jax.value_and_grad(total, (0, 1), has_aux=True)(u, v)
+        return *found, *gradient
 
     shape = u.shape
     found = both(u.ravel(), v.ravel())
@@ -68,7 +68,7 @@ def main(path: str = "docs/margins.png") -> None:
         ax.quiver(few, few, du, dv, color="#333333", width=0.003, scale=28, pivot="mid")
         ax.set(title=title, xlabel=f"{names[0]} [m]", ylabel=f"{names[1]} [m]", aspect="equal")
     bar = figure.colorbar(image, ax=axes, shrink=0.7, aspect=34)
-    bar.set_label("best margin [m]: black line around what is reached; arrows: the way it climbs")
+    bar.set_label("best margin [m]: black line around what is reached; arrows: its gradient")
     figure.savefig(path, dpi=110)
 
 

@@ -14,7 +14,7 @@ import ikjax
 from ikjax.core import cores
 from ikjax.core.pose import Pose
 from ikjax.core.tolerances import VALID
-from ikjax.ik.batched import wide_vectors
+from ikjax.core.xla import pinning, wide_vectors
 from ikjax.solvers.pipeline import solve_scalars
 
 BLOCK = 4096
@@ -26,7 +26,7 @@ THREADS = ThreadPoolExecutor(CORES)
 
 @dataclasses.dataclass(frozen=True)
 class Measured:
-    """One of our rows: its time, its compile time, and how its answers fared."""
+    """One of our rows: its time, its compile time, and the check of its answers."""
 
     timing: clock.Timing
     compile_seconds: float
@@ -49,15 +49,16 @@ class Batch:
         unit = BLOCK * CORES
         return Batch(arm, *check.random_goals(arm, -(-count // unit) * unit))
 
-    def judge(self, goals, answers, given) -> check.Tally:
+    def tally(self, goals, answers, given) -> check.Tally:
         tolerance = VALID[np.dtype(goals.dtype).name]
-        return check.judge(self.arm, goals, self.q, answers, given, tolerance)
+        return check.tally_answers(self.arm, goals, self.q, answers, given, tolerance)
 
 
 def kernel(batch: Batch, dtype: str, runs: int) -> Measured:
-    """(b) Twelve component arrays in; every slot's q and valid out, an array a component.
+    """(b) Twelve component arrays in; q and valid of every slot out, one array per component.
 
-    One program on as many threads as there are cores, each with its part of the goals, as `ikjax.solve` does.
+    One program runs on as many threads as there are cores, each with its part of the goals, as in
+    `ikjax.solve`.
     """
     arm = batch.arm.astype(dtype).baked()
     goals = batch.goals.astype(dtype)
@@ -71,8 +72,9 @@ def kernel(batch: Batch, dtype: str, runs: int) -> Measured:
     def every_slot(numbers, one):
         def block(n):
             goal = Pose((n[0:3], n[4:7], n[8:11]), (n[3], n[7], n[11]))
-            # What many outputs share is divided by a one, so that XLA stores it; see ikjax.ik.inline.
-            slots = solve_scalars(arm, goal, hold=lambda x: x / one)
+            # Values that many outputs share are pinned, as `ikjax.solve` does; see ikjax.core.xla.
+            with pinning(lambda x: x / one):
+                slots = solve_scalars(arm, goal)
             return jax.tree.map(lambda x: jnp.broadcast_to(x, BLOCK), [(s.q, s.valid) for s in slots])
 
         return jax.lax.map(block, numbers)
@@ -88,7 +90,7 @@ def kernel(batch: Batch, dtype: str, runs: int) -> Measured:
     whole = jax.tree.map(lambda *halves: np.concatenate([np.ravel(x) for x in halves]), *call())
     answers = np.stack([np.stack(q, -1) for q, _ in whole], 1)
     given = np.stack([valid for _, valid in whole], 1)
-    return Measured(timing, compile_seconds, "lower and compile", batch.judge(goals, answers, given))
+    return Measured(timing, compile_seconds, "lower and compile", batch.tally(goals, answers, given))
 
 
 def eager(batch: Batch, dtype: str, runs: int) -> Measured:
@@ -99,7 +101,7 @@ def eager(batch: Batch, dtype: str, runs: int) -> Measured:
     _, first = clock.once(call)
     timing = clock.measure(call, runs)
     sol = call()
-    tally = batch.judge(np.asarray(goals), np.asarray(sol.q), np.asarray(sol.valid))
+    tally = batch.tally(np.asarray(goals), np.asarray(sol.q), np.asarray(sol.valid))
     return Measured(timing, max(0, first - timing.median), "first call less a later one", tally)
 
 
@@ -112,9 +114,9 @@ def counted(batch: Batch, dtype: str, runs: int) -> Measured:
     call = clock.blocking(lambda: compiled(goals))
     timing = clock.measure(call, runs)
     solved = int(call())
-    # A count has no joints to check; row (c) checks those of the same goals.
+    # A count has no joints to check; row (c) checks the same goals.
     tally = check.Tally(solved, 0, len(goals) - solved, 0, 0, float("nan"), float("nan"))
-    return Measured(timing, compile_seconds, "lower and compile", tally, "counted, not judged")
+    return Measured(timing, compile_seconds, "lower and compile", tally, "counted, not checked")
 
 
 ROWS: dict[str, Callable[[Batch, str, int], Measured]] = {
@@ -125,15 +127,11 @@ ROWS: dict[str, Callable[[Batch, str, int], Measured]] = {
 
 ORIENTATIONS = 512
 SAMPLE = 32
-"""Positions of a sweep that are solved again, every orientation, and judged."""
-
-
-def has_sweep() -> bool:
-    return hasattr(ikjax, "sweep") and hasattr(ikjax, "around")
+"""Positions of a sweep that are solved again in every orientation, and checked."""
 
 
 def sweep(arm: ikjax.Arm, dtype: str, goals: int, runs: int) -> tuple[Measured, int]:
-    """(f) `ikjax.sweep` over about so many goals; how many there were stands beside the row."""
+    """(f) `ikjax.sweep` over about `goals` goals; the row, and the exact number."""
     coarse = check.reach(arm) / 10
     count = ikjax.maps.around(arm, coarse).count
     spacing = coarse * (count * ORIENTATIONS / goals) ** (1 / 3)
@@ -144,15 +142,15 @@ def sweep(arm: ikjax.Arm, dtype: str, goals: int, runs: int) -> tuple[Measured, 
 
     found, first = clock.once(call)
     timing = clock.Timing(tuple(call().seconds for _ in range(runs)))
-    differ, tally = _again(arm, found, dtype)
+    differ, tally = _solve_again(arm, found, dtype)
     note = f"of {SAMPLE} positions solved again, {differ} have other counts"
     return Measured(timing, max(0, first - found.seconds), "all but its seconds", tally, note), found.goals
 
 
-def _again(arm: ikjax.Arm, found, dtype: str) -> tuple[int, check.Tally]:
-    """Positions of the map whose counts are not those of `solve`, and what `solve` answered there."""
+def _solve_again(arm: ikjax.Arm, found, dtype: str) -> tuple[int, check.Tally]:
+    """How many positions have other counts than `solve`, and the check of its answers there."""
     rng = np.random.default_rng(2)
-    # Half of them where the map says that it reaches, half anywhere.
+    # Half of them where the map says that goals are reached, half anywhere.
     reached = np.flatnonzero(np.asarray(found.reachable).reshape(-1))
     chosen = [rng.choice(among, SAMPLE // 2) for among in (reached, found.positions.count)]
     chosen = np.concatenate(chosen)
@@ -166,5 +164,5 @@ def _again(arm: ikjax.Arm, found, dtype: str) -> tuple[int, check.Tally]:
     same &= valid.sum((-1, -2)) == np.asarray(found.solutions).reshape(-1)[chosen]
     # Here a goal without a solution is no failure: the grid is larger than the workspace.
     has = valid.any(-1)
-    tally = check.judge(arm, goals[has], None, np.asarray(sol.q)[has], valid[has], VALID[dtype])
+    tally = check.tally_answers(arm, goals[has], None, np.asarray(sol.q)[has], valid[has], VALID[dtype])
     return int((~same).sum()), tally

@@ -1,7 +1,7 @@
-"""The families of the quartic, where nothing splits: `python benchmarks/quartic.py [GOALS]`.
+"""The families that need the general quartic: `python benchmarks/quartic.py [GOALS]`.
 
-The kernel with component arrays, every slot, as in `run.py`, for arms of general lengths and twists; every
-answer is judged by forward kinematics.
+The kernel with component arrays and every slot, as in `run.py`, for arms of general lengths and twists; every
+answer is checked by forward kinematics.
 """
 
 import sys

@@ -1,4 +1,4 @@
-"""What was measured, where and with what, as markdown and as JSON."""
+"""The report of a benchmark: machine, versions and results, as markdown and as JSON."""
 
 import dataclasses
 import datetime
@@ -30,7 +30,7 @@ class Row:
     timing: clock.Timing
     tally: check.Tally | None
     ratios: dict[str, float] = dataclasses.field(default_factory=dict)
-    """Our rate over the rival's, by the rival's name."""
+    """Our rate divided by the rival's, by the rival's name."""
     target: str = ""
     met: bool | None = None
     compile_seconds: float | None = None
@@ -93,7 +93,7 @@ def table(head: list[str], rows: list[list[str]]) -> str:
 
 
 def figure(x: float | None, unit: str = "") -> str:
-    """Three figures, never in powers of ten."""
+    """Three significant digits, never with an exponent."""
     if x is None or not math.isfinite(x):
         return ""
     digits = max(0, 2 - math.floor(math.log10(abs(x)))) if x else 0
@@ -171,7 +171,7 @@ def markdown(facts, trig, rows, sweeps, failures) -> str:
 
 
 def as_json(facts, trig, rows, sweeps, failures) -> dict:
-    """The same, every run's seconds included."""
+    """The same, with the seconds of every run."""
 
     def plain(row):
         return {**dataclasses.asdict(row), **({"rate": row.rate} if isinstance(row, Row) else {})}

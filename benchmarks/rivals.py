@@ -1,7 +1,7 @@
-"""The rivals, each as one call on a batch of goals; a package that is not there is said to be absent.
+"""The rivals, each as one call on a batch of goals; a package that is not installed is reported as absent.
 
-An adapter brings goals to the rival's own frames and input type before the clock starts, and its
-answers into (N, S, n) arrays after the clock stopped. All three compute in float64.
+An adapter converts the goals to the rival's own frames and input type before the timed call, and the answers
+to (N, S, n) arrays after it. All three compute in float64.
 """
 
 import dataclasses
@@ -13,19 +13,19 @@ import check
 import numpy as np
 
 THREADS = 2
-"""For those that have threads: the benchmark machine's cores."""
+"""For rivals with threads: the cores of the benchmark machine."""
 
 TOLERANCE = 1e-6
-"""Of a pose, in `check.judge`: a thousand times what we ask of ourselves in float64."""
+"""Of a pose, in `check.tally_answers`: a thousand times our own tolerance in float64."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Rival:
-    """One package on one arm, with a batch of goals already in its form."""
+    """One package on one arm, with a batch of goals in its own form."""
 
     name: str
     package: str
-    """As pip knows it."""
+    """Its name for pip."""
     how: str
     """The call that is timed, and what was done to the goals before."""
     solve: Callable[[], Any]
@@ -33,11 +33,11 @@ class Rival:
     unpack: Callable[[Any], tuple[np.ndarray, np.ndarray]]
     """Answers (N, S, n) and which of them were given (N, S), from what `solve` returned."""
     comparable: bool = True
-    """Whether it does no more than the others, so that our rates are divided by its."""
+    """Whether it does the same work as the others, so that our rates are divided by its rate."""
 
 
 class AbsentError(Exception):
-    """The package, or this arm in it, is not there."""
+    """The package is not installed, or has not this arm."""
 
 
 def _load(module: str):
@@ -88,14 +88,14 @@ OPW = {
         "flip_axes": (False, True, True, False, True, False),
     },
 }
-"""Arms as py-opw-kinematics wants them, in our own frames and joint zeros."""
+"""Arms as py-opw-kinematics describes them, in our own frames and joint zeros."""
 
 
 def opw(arm, goals: np.ndarray, *, sigma: bool = False) -> Rival:
     """py-opw-kinematics, Rust: `reach`, every branch.
 
-    It has no switch for its smallest singular values; without `sigma` it gets joint limits that no
-    branch can meet, for which it leaves them out (its joints are not touched by limits).
+    It has no option to leave out its smallest singular values. Without `sigma` it gets joint limits that no
+    branch can meet: it then computes none of them, and its joints do not depend on limits.
     """
     package = _load("py_opw_kinematics")
     if arm.name not in OPW:

@@ -1,7 +1,7 @@
 """Every benchmark, ours and the rivals', in one process: `python benchmarks/run.py [--quick]`.
 
-x64 is on for the whole run and every type is given by name, so float32 and float64 stand side by
-side; the persistent compilation cache is off. What each row means: README.md.
+x64 is on for the whole run and every type is given by name, so that float32 and float64 are measured in one
+process; the persistent compilation cache is off. What each row means: README.md.
 """
 
 import argparse
@@ -40,7 +40,7 @@ SWEEP_RATE = {
     ("ur5", "float32"): 25,
     ("ur5", "float64"): 11,
 }
-"""Millions of goals a second."""
+"""Millions of goals per second."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Sizes:
     goals: int = 10**6
     rival_goals: int = 10**5
     single_goals: int = 500
-    """For rivals that take one goal at a time."""
+    """For rivals that solve one goal at a time."""
     sweep_goals: int = 2 * 10**8
     runs: int = 7
 
@@ -122,13 +122,13 @@ class Bench:
         timing = clock.measure(rival.solve, self.sizes.runs)
         answers, given = rival.unpack(rival.solve())
         count = len(answers)
-        judged = check.judge(
+        tally = check.tally_answers(
             batch.arm, batch.goals[:count], batch.q[:count], answers, given, rivals.TOLERANCE
         )
         if rival.comparable:
             rates[rival.name] = timing.rate(count)
         self.rows.append(
-            report.Row(rival.name, batch.arm.name, "float64", count, timing, judged, note=rival.how)
+            report.Row(rival.name, batch.arm.name, "float64", count, timing, tally, note=rival.how)
         )
 
     def one_own(self, batch: own.Batch, what: str, dtype: str, rates: dict[str, float]) -> None:
@@ -139,8 +139,6 @@ class Bench:
         self.rows.append(dataclasses.replace(row, target=f">= {wanted}x EAIK", met=met))
 
     def one_sweep(self, arm: ikjax.Arm, dtype: str, rates: dict[str, float]) -> None:
-        if not own.has_sweep():
-            raise rivals.AbsentError("this ikjax has no sweep")
         found, goals = own.sweep(arm, dtype, self.sizes.sweep_goals, self.sizes.runs)
         wanted = SWEEP_RATE[arm.name, dtype]
         row = _row("sweep", arm, dtype, goals, found, rates)
@@ -165,7 +163,7 @@ def _row(what, arm, dtype, goals, found: own.Measured, rates) -> report.Row:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="small sizes: does it run, not how fast")
+    parser.add_argument("--quick", action="store_true", help="small sizes: only to see that it runs")
     parser.add_argument("--out", type=Path, default=Path("out/bench.md"))
     parser.add_argument("--json", type=Path, default=Path("out/bench.json"))
     arguments = parser.parse_args()

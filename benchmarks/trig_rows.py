@@ -1,7 +1,7 @@
-"""Row (a): our trigonometry against jnp's, in speed and in error.
+"""Row (a): speed and error of our trigonometry, compared with jnp.
 
-Both are compiled with the same options. The errors are against mpmath, on numbers that the timed
-arrays hold, rounded to their type first.
+Both are compiled with the same options. Errors are measured with mpmath, on numbers of the timed arrays,
+which are rounded to their type first.
 """
 
 import dataclasses
@@ -13,12 +13,12 @@ import mpmath
 import numpy as np
 
 from ikjax.core import trig
-from ikjax.ik.batched import wide_vectors
+from ikjax.core.xla import wide_vectors
 
 
 @dataclasses.dataclass(frozen=True)
 class TrigRow:
-    """One function in one type: millions a second and worst absolute error [rad or 1] of both."""
+    """One function in one type: millions per second and worst absolute error [rad or 1] of both."""
 
     name: str
     dtype: str
@@ -51,7 +51,7 @@ TARGETS = {"atan2": {"float32": 10, "float64": 2}, "sincos": {"float32": 3, "flo
 
 
 def measure(name: str, dtype: str, count: int, runs: int, sample: int) -> TrigRow:
-    """Time both on `count` numbers, and compare `sample` of the results with 40 digits."""
+    """Time both on `count` numbers, and compare `sample` of the results with 40-digit values."""
     arguments = _arguments(dtype, count)[name]
     ours, theirs, exact = FUNCTIONS[name]
     rates, errors = [], []

@@ -1,8 +1,8 @@
 # %% [markdown]
 # # Eight ways to touch a point
 #
-# A six-joint arm can usually put its tool at a pose in eight ways. `ikjax` returns all of them, in
-# slots that always mean the same, with a mask that says which ones hold.
+# A six-joint arm can usually put its tool at a pose in eight ways. `ikjax` returns all of them, in slots that
+# always mean the same branch, with a mask of the valid ones.
 
 # %%
 import jax
@@ -17,7 +17,7 @@ puma = ikjax.robots.puma560()
 print(puma)
 
 # %% [markdown]
-# The arm is a DH table. Which closed form solves it, and why, is decided once, when it is built:
+# The arm is a DH table. The closed form that solves it is chosen once, when the arm is built:
 
 # %%
 print(ikjax.explain(puma))
@@ -36,8 +36,8 @@ plot.branches(puma, goal)
 plt.show()
 
 # %% [markdown]
-# `valid` is measured by forward kinematics, never assumed. `margin` is how far the branch is from the
-# fold where it ends, in metres: pull the goal away and watch it shrink, reach zero, and turn negative.
+# `valid` is measured by forward kinematics, never assumed. `margin` is the distance in metres to the fold
+# where the branch ends. As the goal moves away, it shrinks, reaches zero and becomes negative.
 
 # %%
 away = jnp.linspace(0.3, 1.1, 161)
@@ -55,7 +55,7 @@ assert (reached == (best >= -1e-4)).all()
 # %% [markdown]
 # ## A UR5: another family, the same call
 #
-# Three parallel axes instead of a spherical wrist. Nothing changes for the user.
+# It has three parallel axes instead of a spherical wrist. Nothing changes for the user.
 
 # %%
 ur5 = ikjax.robots.ur5()
@@ -75,7 +75,7 @@ print("nearest:", np.degrees(q).round(1), "found:", bool(found))
 # %% [markdown]
 # ## Many goals, in jit
 #
-# Inside a jit `solve` is a plain elementwise graph: what is not used is never computed.
+# Inside a jit `solve` is a plain elementwise graph: results that are not used are never computed.
 
 # %%
 count = jax.jit(lambda goals: ikjax.solve(puma, goals).valid.sum(-1))
@@ -84,10 +84,10 @@ solutions = np.bincount(count(ikjax.fk(puma, q)), minlength=9)
 print("goals by number of solutions:", solutions)
 
 # %% [markdown]
-# ## A singularity is an answer, not a hole
+# ## A singularity has an answer
 #
-# With the fifth joint at zero, joints four and six turn about one line: one of them is arbitrary.
-# The slot says so (`continuum`), and `q_now` chooses.
+# With the fifth joint at zero, joints four and six turn about the same line, and one of them is arbitrary.
+# The slot says so (`continuum`), and `q_now` chooses the value.
 
 # %%
 straight = ikjax.fk(puma, jnp.array([0.3, 0.5, -0.8, 0.7, 0.0, 0.2]))

@@ -1,8 +1,8 @@
 # %% [markdown]
 # # A million goals before coffee
 #
-# Where does an arm reach, and from how many sides? A sweep answers for every position of a grid with every
-# orientation of a set. It is stored as it goes, and it survives what computers do at night.
+# Where does an arm reach, and in how many orientations? A sweep answers this for every position of a grid and
+# every orientation of a set. It is stored while it runs, and it can be continued after a crash.
 
 # %%
 import importlib.util
@@ -25,18 +25,18 @@ print(f"{grid.in_words()} x 96 orientations = {grid.count * 96:,} goals")
 # %% [markdown]
 # ## The sweep
 #
-# Goals are made from whole numbers inside the compiled loop, solved there and counted there: nothing but the
-# counts leaves it.
+# Goals are made from their index inside the compiled loop, solved there and counted there. Only the counts
+# leave the loop.
 
 # %%
 reach = ikjax.sweep(arm, grid, orientations=96)
 print(reach.summary())
 
 # %% [markdown]
-# ## Pull the plug
+# ## Kill it
 #
-# The same sweep into a folder, in small units, in a process of its own. It is killed when it has computed a
-# third of them, by SIGKILL: no handler, no goodbye.
+# The same sweep is stored in a folder, in small units, by a process of its own. When it has computed a third
+# of them, it is killed by SIGKILL, which no handler can catch.
 
 # %%
 folder = pathlib.Path(tempfile.mkdtemp())
@@ -47,21 +47,21 @@ import numpy as np
 import ikjax
 
 units = 0
-def plug(unit_done):
+def kill(unit_done):
     global units
     units += unit_done
     if units == 9:
         os.kill(os.getpid(), signal.SIGKILL)
 
 arm = ikjax.robots.puma560().astype(np.float32)
-ikjax.sweep(arm, ikjax.maps.around(arm, spacing=0.1), 96, chunk=(8, 8, 8), out={str(out)!r}, stop=plug)
+ikjax.sweep(arm, ikjax.maps.around(arm, spacing=0.1), 96, chunk=(8, 8, 8), out={str(out)!r}, stop=kill)
 """
 root = str(pathlib.Path(ikjax.__file__).parent.parent)
 child = subprocess.run([sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": root})
 print("the process ended with", child.returncode, "(minus nine is SIGKILL)")
 
 # %% [markdown]
-# What is there is whole, and says that it is not all:
+# What is stored is intact, and the map says that it is incomplete:
 
 # %%
 try:
@@ -71,9 +71,9 @@ except ValueError as error:
     print(refusal)
 
 # %% [markdown]
-# ## Go on
+# ## Continue
 #
-# What can be read is kept, whatever cannot is computed.
+# Units that can be read are kept, all others are computed.
 
 # %%
 resumed = ikjax.sweep(arm, grid, 96, chunk=(8, 8, 8), out=out, resume=True)
@@ -82,8 +82,8 @@ print(resumed.units)
 # %% [markdown]
 # ## The same bits
 #
-# Not nearly the same: every statistic, bit by bit, as in the sweep that nobody disturbed. A flipped byte is
-# found too, by its checksum.
+# Every statistic is equal to that of the undisturbed sweep, bit by bit. A damaged chunk is found by its
+# checksum and computed again.
 
 # %%
 undisturbed, gone_on = reach.to_numpy(), resumed.to_numpy()
@@ -98,10 +98,10 @@ mended = ikjax.sweep(arm, grid, 96, chunk=(8, 8, 8), out=out, resume=True)
 print(mended.units)
 
 # %% [markdown]
-# ## Look at it
+# ## Pictures
 #
-# In slices, colored by the share of orientations that are reached within the joint limits. Grey is reached
-# beyond the limits alone.
+# Slices are colored by the share of orientations that are reached within the joint limits. Grey positions are
+# reached only beyond the limits.
 
 # %%
 plot.reach_map(mended)
@@ -120,7 +120,7 @@ plt.show()
 if importlib.util.find_spec("xarray"):
     data = mended.to_xarray()
     print(data)
-    share = data.reachable_within / mended.orientations
+    share = data.reachable_within / mended.orientation_count
     fig, axes = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained")
     bar = {"label": "best share at any height"}
     share.max("z").T.plot(ax=axes[0], cmap="viridis", cbar_kwargs=bar)

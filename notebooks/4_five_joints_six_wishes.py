@@ -1,8 +1,8 @@
 # %% [markdown]
-# # Five joints, six wishes
+# # Five joints, six coordinates
 #
-# A pose is six numbers, an SO-101 has five joints. Whoever asks it for a pose gets the nearest one that it
-# can attain, within its limits, with both errors beside it and a proof that no small move improves it.
+# A pose has six coordinates, an SO-101 has five joints. `project` returns the nearest pose that the arm can
+# attain within its limits, with both errors, and with the gradient norm, which is zero at a local optimum.
 
 # %%
 import time
@@ -21,24 +21,24 @@ low, high = np.array(arm.limits).T
 print(ikjax.explain(arm))
 
 # %% [markdown]
-# ## Wished and attained
+# ## Goal and attained pose
 #
-# Four wishes at one point, turned further and further out of the plane that the arm can keep. `length` says
-# what a radian is worth: here 50 mm. Thick axes are the wish, thin ones what is attained.
+# Four goals at one point are turned more and more out of the plane of the arm. `characteristic_length` is the
+# weight of a radian: here 50 mm. Thick axes are the goal, thin ones the attained pose.
 
 # %%
 turns = np.array([0.0, 0.4, 0.8, 1.2])
 home = np.asarray(ikjax.fk(arm, np.array([0.3, 0.2, -0.3, 0.6, 0.2])))
-wished = np.broadcast_to(home, (4, 4, 4)).copy()
+goals = np.broadcast_to(home, (4, 4, 4)).copy()
 for k, turn in enumerate(turns):
     c, s = np.cos(turn), np.sin(turn)
-    wished[k, :3, :3] = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ home[:3, :3]
-near = ikjax.project(arm, wished, characteristic_length=0.05)
+    goals[k, :3, :3] = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ home[:3, :3]
+near = ikjax.project(arm, goals, characteristic_length=0.05)
 attained = np.asarray(ikjax.fk(arm, near.q))
 for turn, gap, angle, norm in zip(
     turns, near.position_error, near.rotation_error, near.gradient_norm, strict=True
 ):
-    print(f"turned by {turn:.1f} rad: {1000 * gap:5.1f} mm and {angle:.3f} rad off; slope {norm:.0e}")
+    print(f"turned by {turn:.1f} rad: {1000 * gap:5.1f} mm and {angle:.3f} rad off; gradient {norm:.0e}")
 
 # %%
 figure = plt.figure(figsize=(13, 3.8), layout="constrained")
@@ -53,22 +53,22 @@ def triad(ax, pose, size, **style):
 for k in range(4):
     ax = figure.add_subplot(1, 4, k + 1, projection="3d")
     plot.arm(arm, near.q[k], ax, color="0.5")
-    triad(ax, wished[k], 0.12, lw=3, alpha=0.5)
+    triad(ax, goals[k], 0.12, lw=3, alpha=0.5)
     triad(ax, attained[k], 0.12, lw=1.2)
     ax.set_aspect("equal")
     ax.locator_params(nbins=4)
     ax.tick_params(labelsize=7)
-    ax.set_title(f"wished {turns[k]:.1f} rad aside", fontsize=10)
+    ax.set_title(f"goal turned by {turns[k]:.1f} rad", fontsize=10)
 plt.show()
 
 # %% [markdown]
-# ## What a radian is worth
+# ## The weight of a radian
 #
-# The smaller `length`, the better the point is held; the larger, the better the orientation. The two ends of
-# the curve are the priorities: `priority="position"` and `priority="orientation"` put one error first.
+# A small `characteristic_length` favors the position, a large one the orientation. The two ends of the curve
+# are the priorities: `priority="position"` and `priority="orientation"` minimize one error first.
 
 # %%
-goal = wished[3]
+goal = goals[3]
 lengths = np.geomspace(0.002, 2, 25)
 curve = jax.vmap(lambda length: ikjax.project(arm, goal, length))(lengths)
 ends = {name: ikjax.project(arm, goal, priority=name) for name in ("position", "orientation")}
@@ -92,8 +92,8 @@ plt.show()
 # %% [markdown]
 # ## Against many starts of a local solver
 #
-# Fifty wishes anywhere about the arm. The rival is scipy's bounded least squares from sixteen random starts
-# each, which keeps its best.
+# Fifty goals are spread around the arm. The rival is the best result of scipy's bounded least squares from
+# sixteen random starts for each goal.
 
 # %%
 rng = np.random.default_rng(0)
@@ -121,11 +121,11 @@ def turn_between(pose, goal):
     return sine / size * jax.numpy.arctan2(size, (jax.numpy.trace(turn) - 1) / 2)
 
 
-slope = jax.jit(jax.jacfwd(residual))
+jacobian = jax.jit(jax.jacfwd(residual))
 starts = rng.uniform(low, high, (16, 5))
 started = time.perf_counter()
 theirs = [
-    min(2 * least_squares(residual, q, slope, bounds=(low, high), args=(goal,)).cost for q in starts)
+    min(2 * least_squares(residual, q, jacobian, bounds=(low, high), args=(goal,)).cost for q in starts)
     for goal in wild
 ]
 rival = time.perf_counter() - started
@@ -137,8 +137,8 @@ assert np.asarray(ours.converged).all()
 # %% [markdown]
 # ## A path
 #
-# A level circle is drawn with the hand as it is at first, as nearly as five joints can. `track` stays on the
-# branch where it is, step after step, and says where it had to leap or could not follow.
+# The tool draws a horizontal circle with its first orientation, as nearly as five joints can. `track` stays
+# on one branch from step to step, and reports where it had to jump to another or could not follow.
 
 # %%
 angle = np.linspace(0, 2 * np.pi, 120)
@@ -146,13 +146,13 @@ start = np.array([0, 0, 0, 0.8, 0])
 path = np.broadcast_to(np.asarray(ikjax.fk(arm, start)), (120, 4, 4)).copy()
 path[:, :3, 3] += 0.04 * np.stack([np.cos(angle) - 1, np.sin(angle), 0 * angle], -1)
 drawn = ikjax.track(arm, path, start, characteristic_length=0.005)
-print(f"{int(drawn.jumped.sum())} leaps; off by {1000 * float(drawn.position_error.max()):.2f} mm at most,")
+print(f"{int(drawn.jumped.sum())} jumps; off by {1000 * float(drawn.position_error.max()):.2f} mm at most,")
 print(f"and turned by up to {np.rad2deg(float(drawn.rotation_error.max())):.1f} degrees")
 pen = np.asarray(ikjax.fk(arm, drawn.q))[:, :3, 3]
 
 # %%
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3.6), layout="constrained")
-left.plot(*path[:, :2, 3].T, color="0.7", lw=4, label="wished")
+left.plot(*path[:, :2, 3].T, color="0.7", lw=4, label="goal")
 left.plot(*pen[:, :2].T, color="tab:blue", lw=1.2, label="drawn")
 left.set_aspect("equal")
 left.set_xlabel("x [m]")

@@ -1,8 +1,8 @@
 # %% [markdown]
 # # Design an arm with gradients
 #
-# Which lengths should an arm have, and where should it stand? Every answer of `solve` has slopes in the
-# arm's own numbers, so a better arm can be climbed to.
+# Which lengths should an arm have, and where should it stand? Every answer of `solve` has derivatives with
+# respect to the arm's own numbers, so an arm can be improved by gradient ascent.
 
 # %%
 import jax
@@ -18,11 +18,11 @@ r, turn = np.meshgrid(np.linspace(0.3, 1.0, 8), np.linspace(0, 2 * np.pi, 24, en
 ring = ikjax.position(r.ravel() * np.cos(turn.ravel()), r.ravel() * np.sin(turn.ravel()), 0 * r.ravel())
 
 # %% [markdown]
-# ## A margin that shows the way in
+# ## The margin has a gradient outside the workspace too
 #
-# The task is a ring of points. `best_margin` says in metres how far a goal is from the edge of what the
-# arm reaches: positive inside, negative outside, where no joints exist. Its slope in the lengths is what a
-# study climbs.
+# The task is a ring of points. `best_margin` is the distance in metres of a goal from the boundary of the
+# workspace: positive inside, negative outside, where no joints exist. A study follows its gradient with
+# respect to the lengths.
 
 
 # %%
@@ -59,8 +59,8 @@ print(lengths.report())
 show({"as given": arm, "designed": lengths.arm})
 
 # %% [markdown]
-# Equal links: then the hole in the middle closes, and 1.3 m is as far from the outer rim as the center is
-# from the inner one. Every start finds it:
+# The links become equal. The hole in the middle then closes, and the clearance is the same at the outer and
+# the inner rim. Every start finds this optimum:
 
 # %%
 fig, ax = plt.subplots(figsize=(7, 3))
@@ -71,8 +71,8 @@ plt.show()
 # %% [markdown]
 # ## Where to stand
 #
-# The same arm, and a ring that is not around it. Base and tool move by twists; here the base may shift in the
-# plane.
+# The same arm, with a ring that is not around it. Base and tool can move by twists; here the base may shift
+# in the plane.
 
 # %%
 away = ring.at[:, 0, 3].add(0.8).at[:, 1, 3].add(-0.5)
@@ -83,16 +83,16 @@ print(placed.report())
 # %% [markdown]
 # ## How well it moves
 #
-# Yoshikawa's measure of every branch, with slopes that stay finite where the arm is straight.
+# Yoshikawa's manipulability, with a gradient that stays finite where the arm is straight.
 
 # %%
 measure = jax.jit(lambda q: ikjax.manipulability(lengths.arm, q))
 bend = jnp.linspace(-np.pi, np.pi, 181)
 q = jnp.stack([0 * bend, bend], -1)
-slope = jax.grad(lambda q: measure(q).sum())(q)[:, 1]
+gradient = jax.grad(lambda q: measure(q).sum())(q)[:, 1]
 fig, ax = plt.subplots(figsize=(7, 3))
 ax.plot(bend, measure(q), label="manipulability")
-ax.plot(bend, slope, label="its slope in the elbow")
+ax.plot(bend, gradient, label="its derivative in the elbow")
 ax.set(xlabel="elbow [rad]")
 ax.legend()
 plt.show()
@@ -100,8 +100,8 @@ plt.show()
 # %% [markdown]
 # ## A PUMA with a metre to spend
 #
-# Where in the box around it does an arm of six joints reach half of all orientations, within its limits?
-# Each of 256 points is wished for in sixteen orientations; five lengths may move, a metre together.
+# Where in the box around it does an arm of six joints reach half of all orientations, within its limits? The
+# goals are 256 points in sixteen orientations each. Five lengths vary, with a sum of one metre.
 
 
 # %%
@@ -128,8 +128,8 @@ metre = ikjax.design(
 print(metre.report(most=3))
 
 # %% [markdown]
-# The score counts the points it was climbed on. A sweep counts others: a grid over the same box, every
-# orientation of 64.
+# The score counts the points that the study was optimized for. A sweep counts others: a grid over the same
+# box, with 64 orientations.
 
 # %%
 box = ikjax.maps.grid((-1, -1, -1), (1, 1, 1), 0.1)
@@ -142,8 +142,8 @@ plt.show()
 # %% [markdown]
 # ## Before a workpiece
 #
-# A UR5e cannot reach all of a barrel two metres long. Where should it stand, and how should the tool sit?
-# 10,000 goals look into the barrel's side; base and tool have six numbers each.
+# A UR5e cannot reach all of a barrel two metres long. Where should it stand, and how should the tool be
+# mounted? 10,000 goals point at the barrel's side; base and tool have six coordinates each.
 
 # %%
 along, around = (x.ravel() for x in np.meshgrid(np.linspace(-1, 1, 100), np.linspace(-1.2, 1.2, 100)))
@@ -170,12 +170,12 @@ axes[0].set_ylabel("around it [rad]")
 plt.show()
 
 # %% [markdown]
-# `python benchmarks/design.py` sets these studies against random search and differential evolution.
+# `python benchmarks/design.py` compares these studies with random search and differential evolution.
 
 # %%
 assert np.abs(np.array(list(lengths.values.values())) - 0.65).max() < 5e-3
 assert lengths.reached.all() and lengths.score > 0.29
 assert placed.start_score < 0.7 and placed.reached.all()
-assert np.isfinite(slope).all()
+assert np.isfinite(gradient).all()
 assert half[1] > 1.2 * half[0]
 assert reached[1].mean() > reached[0].mean() + 0.2

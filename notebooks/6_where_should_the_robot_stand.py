@@ -1,9 +1,8 @@
 # %% [markdown]
 # # Where should the robot stand?
 #
-# A part has to be touched all over. The arm is given; where its base should be bolted down is not.
-# `ikjax.place` counts the goals that are reached from every place on a grid, polishes the best ones by
-# gradient, and says what it found.
+# A part has to be reached all over. The arm is given, the place of its base is not. `ikjax.place` counts the
+# goals that are reached from every candidate on a grid, and polishes the best ones by gradient ascent.
 
 # %%
 import dataclasses
@@ -19,8 +18,8 @@ arm = ikjax.robots.ur5e().astype(np.float32)
 # %% [markdown]
 # ## The task
 #
-# Two pieces on a long bench, five rows of points and four. At each point the tool looks down and leans about
-# 30 degrees to four sides.
+# There are two pieces on a long bench, with five and four rows of points. At each point the tool points down
+# and is tilted by about 30 degrees to four sides.
 
 # %%
 ends = (0.0, 0.6, 5), (1.6, 2.1, 4)
@@ -37,8 +36,8 @@ print(goals.shape[:-2], "goals: points, orientations")
 # ## A place for the base
 #
 # The base may shift along the floor, but not into the bench: it stays 0.45 m away from its middle. Turning it
-# changes nothing, for the first joint of a UR5e turns twice round, and `place` knows. One program serves all
-# candidates, because a base that is moved sees its goals moved back.
+# changes nothing, because the first joint of a UR5e has a range of two turns, and `place` takes that into
+# account. One program serves all candidates, because moving the base is the same as moving the goals back.
 
 # %%
 floor = {"x": (-0.5, 2.6), "y": (-1.15, -0.45)}
@@ -48,8 +47,8 @@ print(bases)
 # %% [markdown]
 # ## The map
 #
-# What share of the goals is reached from where. Crosses are points of the task, circles the best candidates
-# of the grid; the numbers stand where polishing took them.
+# The picture shows the share of the goals that is reached from each position. Crosses are points of the task,
+# circles the best candidates of the grid, and numbers are the polished bases.
 
 # %%
 fig, ax = plt.subplots(figsize=(8.5, 4.6), layout="constrained")
@@ -68,9 +67,9 @@ plt.show()
 # %% [markdown]
 # ## Before and after polishing
 #
-# A count is flat between its steps, so it shows no way on. Margins do: they say how far a goal is from the
-# edge of what is reached, in metres, from outside as well, and joint limits count. Polishing climbs them and
-# keeps the best by the exact count. So nothing gets worse.
+# A count has no useful gradient, because it is constant between its steps. Margins have one: they are the
+# distance of a goal from the boundary of what is reached, in metres, outside too, and they include joint
+# limits. Polishing follows their gradient and keeps the best base by the exact count. So nothing gets worse.
 
 # %%
 fig, axes = plt.subplots(1, 2, figsize=(8.5, 3), layout="constrained")
@@ -90,7 +89,7 @@ plt.show()
 # %% [markdown]
 # ## The arm where it should stand
 #
-# `dataclasses.replace(arm, base=...)` puts it there, and `solve` says which points are reached in all four
+# `dataclasses.replace(arm, base=...)` moves the arm, and `solve` shows which points are reached in all four
 # orientations, and which in some.
 
 # %%
@@ -119,8 +118,8 @@ plt.show()
 # %% [markdown]
 # ## From a map
 #
-# Where a reach map of the arm is at hand, goals are looked up in it instead of solved: inverse reachability.
-# The candidates are then as good as the map; what is returned is judged by `solve` all the same.
+# If there is a reach map of the arm, goals are looked up in it instead of solved: inverse reachability. The
+# candidates are then as accurate as the map; the returned bases are still evaluated by `solve`.
 
 # %%
 around = ikjax.maps.around(arm, spacing=0.08)

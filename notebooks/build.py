@@ -1,6 +1,6 @@
-"""Turn the scripts beside this file into notebooks, run them, and keep their pictures.
+"""Turn the scripts in this folder into notebooks, run them, and store them with their pictures.
 
-A script is cut at `# %%`; a cell that starts with `# %% [markdown]` is text. Run: make notebooks.
+A script is split at `# %%`; a cell that starts with `# %% [markdown]` is text. Run: make notebooks.
 """
 
 import pathlib
@@ -24,14 +24,14 @@ def cells(text: str) -> list:
 
 
 def build(script: pathlib.Path) -> pathlib.Path:
-    """Run one script as a notebook and write it beside the script."""
+    """Run one script as a notebook and write the notebook next to it."""
     book = nbformat.v4.new_notebook(cells=cells(script.read_text()))
     for number, cell in enumerate(book.cells):
         cell["id"] = f"cell-{number}"
     book.metadata["kernelspec"] = {"name": "python3", "display_name": "Python 3", "language": "python"}
     NotebookClient(book, timeout=300, resources={"metadata": {"path": str(HERE)}}).execute()
     for cell in book.cells:
-        cell.metadata.pop("execution", None)  # times of day are noise in a diff
+        cell.metadata.pop("execution", None)  # times of execution would change in every run
     path = script.with_suffix(".ipynb")
     nbformat.write(book, path)
     return path

@@ -1,4 +1,4 @@
-"""Both precisions, no silent promotion, and compiled programs kept from run to run."""
+"""Both precisions, no silent promotion, and a persistent cache of compiled programs."""
 
 import gc
 import os
@@ -10,7 +10,7 @@ import pytest
 
 ROOT = pathlib.Path(__file__).parent.parent
 
-# Also for the programs that tests start.
+# Environment variables, because tests start programs of their own.
 os.environ["JAX_COMPILATION_CACHE_DIR"] = str(ROOT / ".pytest_cache" / "jax")
 os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
 
@@ -31,7 +31,7 @@ def dtype(request):
     params=[pytest.param(np.float32, marks=pytest.mark.slow), np.float64], ids=["float32", "float64"]
 )
 def costly_dtype(request):
-    """The same for what compiles long: float32 only in the slow form."""
+    """The same for what compiles for long: float32 only in the slow tests."""
     return request.param
 
 
@@ -43,7 +43,7 @@ def rng():
 
 @pytest.fixture(autouse=True)
 def modest_memory():
-    """Compiled programs are let go of whenever a process has grown by two gigabytes."""
+    """Compiled programs are released whenever a process has grown by two gigabytes."""
     yield
     if _size() > MEMORY["limit"]:
         jax.clear_caches()
@@ -56,6 +56,6 @@ MEMORY = {"limit": 2 * GROWTH}
 
 
 def _size() -> int:
-    """Bytes that this process holds, where that can be asked."""
+    """Resident memory of this process [bytes], where the system tells it; else 0."""
     statm = pathlib.Path("/proc/self/statm")
     return int(statm.read_text().split()[1]) * 4096 if statm.exists() else 0

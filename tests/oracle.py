@@ -1,4 +1,4 @@
-"""Forward kinematics at 60 digits, straight from the DH leaves and nothing of ikjax's own."""
+"""Forward kinematics at 60 digits, from the DH leaves only, independent of ikjax's own."""
 
 import mpmath
 import numpy as np
@@ -8,7 +8,7 @@ mp.dps = 60
 
 
 def exact(array) -> mpmath.matrix:
-    """The very numbers of a float array; what is exact already stays so."""
+    """The exact numbers of a float array; an exact matrix is returned as it is."""
     return mp.matrix(array.tolist() if isinstance(array, mp.matrix) else np.asarray(array, float).tolist())
 
 
@@ -37,8 +37,8 @@ def fk(arm, q) -> mpmath.matrix:
     return frames(arm, q)[-1] * exact(arm.tool)
 
 
-def slopes(arm, q) -> list[mpmath.matrix]:
-    """How T_world_tool changes with each joint, by central differences, right to 30 digits and more."""
+def derivatives(arm, q) -> list[mpmath.matrix]:
+    """Derivative of T_world_tool in each joint, by central differences, with 30 digits or more."""
     step, q = mp.mpf("1e-20"), exact(q)
 
     def moved(i, by):
@@ -48,7 +48,7 @@ def slopes(arm, q) -> list[mpmath.matrix]:
 
 
 def error(arm, q, goal) -> tuple[float, float]:
-    """How far the tool at q is from a goal: [m] and [rad]."""
+    """Error of the tool at q from a goal: [m] and [rad]."""
     gap = fk(arm, q) - exact(goal)
     chord = mp.mnorm(gap[:3, :3], "f") / mp.sqrt(8)  # sin(angle / 2)
     return float(mp.norm(gap[:3, 3])), float(2 * mp.asin(min(chord, 1)))

@@ -19,11 +19,11 @@ SSIK = {
 
 
 def ssik(name):
-    """ssik's module of an arm; the test is skipped where the package is not there."""
+    """ssik's module of an arm; the test is skipped where the package is not installed."""
     pytest.importorskip("ssik")
     return importlib.import_module(f"ssik.prebuilt.{SSIK[name]}")
 
 
 def ssik_base(name) -> np.ndarray:
-    """Our base seen from ssik's: Universal Robots' stands half a turn off there."""
+    """Our base in the frame of ssik's: for Universal Robots they differ by half a turn."""
     return np.diag([-1.0, -1, 1, 1]) if name.startswith("ur") else np.eye(4)

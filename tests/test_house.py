@@ -11,7 +11,7 @@ from ikjax.solvers.families import FAMILIES
 
 HOUSE = pathlib.Path(ikjax.__file__).parent
 ROOMS = ["core", "arm", "solvers", "ik", "maps", "synthesis", "plot", "cli"]
-"""From the ground up. `cli` stands above the front door: it may import everything."""
+"""In the order of imports. `cli` comes last: it may import everything, `ikjax` itself too."""
 
 
 def files():
@@ -23,7 +23,7 @@ def tree(path):
 
 
 def imports(path):
-    """Every module of ikjax a file imports, anywhere in it, as dotted names."""
+    """Every module of ikjax that a file imports, anywhere in it, as dotted names."""
     for node in ast.walk(tree(path)):
         if isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: write imports in full"
@@ -42,7 +42,7 @@ def test_a_file_imports_its_own_room_and_those_below():
             continue
         below = ROOMS[: ROOMS.index(room) + 1]
         for name in imports(path):
-            # `cli` and whatever only the front door offers are in no room.
+            # `cli`, and names that only `ikjax` itself exports, are in no room.
             assert name.partition("ikjax.")[2].split(".")[0] in below, f"{path}: {name}"
 
 

@@ -1,4 +1,4 @@
-"""The same arm with its limits whole turns further, or its slides counted from elsewhere, is the same arm."""
+"""An arm whose limits are shifted by whole turns gives the same results."""
 
 import dataclasses
 
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import ikjax
-from ikjax.ik.multistart import ranges, scattered
+from ikjax.ik.multistart import sampling_ranges, scattered_starts
 
 TURN = 2 * np.pi
 LOWER, UPPER = [-1.2, -2.0, -0.15, -1.5], [1.6, 1.4, 0.0, 2.0]
@@ -25,7 +25,7 @@ def in_limits(arm):
 
 
 def both(function, atol=1e-9):
-    """What a function says of both arms, q counted from where each counts."""
+    """The results of a function for both arms are equal; those of the first are returned."""
     one, other = jax.tree.map(np.asarray, (function(ARM, 0 * SHIFT), function(FURTHER, SHIFT)))
     for x, y in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
         np.testing.assert_allclose(y, x, rtol=0, atol=atol)
@@ -76,7 +76,7 @@ def test_maps_and_proofs():
 )
 def test_starts_are_spread_over_the_limits_wherever_they_lie(bounds):
     arms = [dataclasses.replace(ARM, limits=np.array([np.add(bounds, k * TURN)] * 4)) for k in (0, 1)]
-    one, other = (np.asarray(scattered(arm, (3,), 64)) for arm in arms)
+    one, other = (np.asarray(scattered_starts(arm, (3,), 64)) for arm in arms)
     low, high = arms[1].limits[0]
     assert (
         one.shape == (3, 64, 4)
@@ -90,7 +90,7 @@ def test_starts_are_spread_over_the_limits_wherever_they_lie(bounds):
     if np.isfinite(bounds).any():
         np.testing.assert_allclose(other, one + TURN, atol=1e-12)
     # A slide: all between two limits, else two reaches.
-    ends = [float(end[2]) for end in ranges(arms[0])]
+    ends = [float(end[2]) for end in sampling_ranges(arms[0])]
     reach = float(sum(abs(ARM.a)) + sum(abs(ARM.d)) + sum(abs(ARM.tool[:3, 3])))
     both_sides = np.isfinite(bounds).all()
     assert ends[1] - ends[0] == pytest.approx(bounds[1] - bounds[0] if both_sides else 2 * reach)
@@ -106,10 +106,10 @@ def test_an_arm_of_slides_alone_has_starts_and_limits_may_be_traced():
         convention="standard",
         limits=[(1.5, 3), (2, np.inf)],
     )
-    q = np.asarray(scattered(slides, (), 32))
+    q = np.asarray(scattered_starts(slides, (), 32))
     assert (q >= [1.5, 2]).all() and (q <= [3, 4]).all() and (np.ptp(q, axis=0) > [1.2, 1.6]).all()
-    traced = jax.jit(lambda arm: scattered(arm, (), 32))(FURTHER)
-    np.testing.assert_allclose(traced, scattered(FURTHER, (), 32), atol=1e-12)
+    traced = jax.jit(lambda arm: scattered_starts(arm, (), 32))(FURTHER)
+    np.testing.assert_allclose(traced, scattered_starts(FURTHER, (), 32), atol=1e-12)
 
 
 @pytest.mark.slow

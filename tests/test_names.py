@@ -1,4 +1,4 @@
-"""What a file says is text in every medium: one hostile name walks through all that shows it."""
+"""Text from a file stays text in every medium: one hostile name is passed to everything that shows it."""
 
 import dataclasses
 import html
@@ -39,7 +39,7 @@ def reach():
 
 
 def is_one_line_of(name: str, lines: str) -> None:
-    """`lines` are printable, hold the name, and the name has forged none of them."""
+    """`lines` are printable, contain the name, and the name has forged none of them."""
     assert all(c.isprintable() or c == "\n" for c in lines)
     assert name in lines and not any(line.startswith("forged") for line in lines.splitlines())
 
@@ -55,18 +55,18 @@ def test_words_and_reprs_and_errors(reach):
         ARM, ARM, {}, 0.0, 0.0, flags, flags * 1.0, np.zeros(1), np.zeros((1, 0)), np.zeros((0, 1)), 0.0,
         np.zeros(0), np.zeros((1, 3, 4, 4)),
     )  # fmt: skip
-    said = [repr(ARM), ikjax.explain(ARM), reach.summary(), str(bases), designed.report()]
+    texts = [repr(ARM), ikjax.explain(ARM), reach.summary(), str(bases), designed.report()]
     with pytest.raises(ValueError) as error:
         ikjax.solve(dataclasses.replace(ARM, family=None), np.eye(4))
-    for lines in (*said, str(error.value)):
+    for lines in (*texts, str(error.value)):
         is_one_line_of(ARM.name, lines)
     is_one_line_of(repr(ARM.name), str(ARM))
     assert ARM.name in repr(reach) and "\x1b" not in repr(reach)
 
 
-def test_a_diary(tmp_path):
-    with log.Log(tmp_path / "map.zarr") as diary:
-        diary.line(f"{NAME}, fingerprint 7")
+def test_a_log(tmp_path):
+    with log.Log(tmp_path / "map.zarr") as writer:
+        writer.line(f"{NAME}, fingerprint 7")
     (line,) = (tmp_path / "map.zarr.log").read_text(encoding="utf-8").splitlines()
     is_one_line_of("$\\frac$ forged: all is well, fingerprint 7", line)
 
@@ -116,11 +116,11 @@ def test_a_map_whose_spec_would_be_a_path_or_a_program_is_refused(reach, tmp_pat
     head = manifest.read_group(file.read_bytes())
     if name := change.pop("statistics", None):
         change = {"statistics": {name: head.spec["statistics"]["reachable"]}}
-    file.write_bytes(manifest.group(head._replace(spec={**head.spec, **change})))
+    file.write_bytes(manifest.group_document(head._replace(spec={**head.spec, **change})))
     with pytest.raises(ValueError, match="no map that a sweep has written"):
         ikjax.ReachMap.load(tmp_path / "map.zarr")
     family = {**head.arm, "family": "evil"}
-    file.write_bytes(manifest.group(head._replace(arm=family)))
+    file.write_bytes(manifest.group_document(head._replace(arm=family)))
     with pytest.raises(ValueError, match="no family 'evil'"):
         ikjax.ReachMap.load(tmp_path / "map.zarr")
 
@@ -158,9 +158,9 @@ def test_pictures(reach):
             plot.histogram(odd, "$a$"),
             plot.branches(ARM, goal),
         ):
-            said = [text for text in figure.findobj(Text) if "$" in text.get_text()]
-            assert said and not any(cbook.is_math_text(text.get_text()) for text in said)
-            assert not any(text.get_usetex() or "\x1b" in text.get_text() for text in said)
+            texts = [text for text in figure.findobj(Text) if "$" in text.get_text()]
+            assert texts and not any(cbook.is_math_text(text.get_text()) for text in texts)
+            assert not any(text.get_usetex() or "\x1b" in text.get_text() for text in texts)
             pyplot.close(figure)
 
 
@@ -189,6 +189,6 @@ def test_the_viewer(reach):
     shown.draw_branches()
     title, branches = (panel.content for panel in panels)
     assert branches.count("\n- ") == 2  # and none that a name has forged
-    for said in (title, branches):
-        assert not set(re.sub(r"\*\*|\(outside the limits\)|&#\d+;", "", said)) & set("<>[]!*`{}$\\")
-        assert ARM.name in html.unescape(said).replace("\N{WORD JOINER}", "")
+    for text in (title, branches):
+        assert not set(re.sub(r"\*\*|\(outside the limits\)|&#\d+;", "", text)) & set("<>[]!*`{}$\\")
+        assert ARM.name in html.unescape(text).replace("\N{WORD JOINER}", "")

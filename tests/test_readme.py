@@ -1,4 +1,4 @@
-"""The README's examples run as they stand."""
+"""The README's examples run unchanged."""
 
 import os
 import pathlib
@@ -21,14 +21,21 @@ def run(command, cwd) -> subprocess.CompletedProcess:
     return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True)
 
 
-@pytest.mark.parametrize("code", blocks("python"), ids=lambda code: f"{len(code)} characters")
-def test_the_python_of_the_readme_runs(code, tmp_path):
-    done = run([sys.executable, "-c", code], tmp_path)
+def test_the_readme_shows_the_quickstart_and_what_it_prints(tmp_path):
+    quickstart = ROOT / "examples" / "quickstart.py"
+    assert blocks("python") == [quickstart.read_text()]
+    done = run([sys.executable, str(quickstart)], tmp_path)
     assert done.returncode == 0, done.stderr[-2000:]
+    assert blocks("text") == [done.stdout]
+
+
+def test_the_readme_fits_two_screens_and_its_links_lead_somewhere():
+    assert len(README.splitlines()) < 140
+    for link in re.findall(r"\]\(([^)#]+)\)", README):
+        assert link.startswith("https://") or (ROOT / link).exists(), link
 
 
 def test_the_commands_of_the_readme_run(tmp_path):
-    assert len(blocks("python")) > 2
     commands = [line for block in blocks("console") for line in block.splitlines() if line.startswith("$ ")]
     assert commands
     for command in commands:
@@ -38,6 +45,6 @@ def test_the_commands_of_the_readme_run(tmp_path):
         assert done.returncode == 0, command + done.stderr[-2000:]
 
 
-def test_the_readme_begins_with_the_two_commands():
+def test_the_first_commands_of_the_readme_are_the_two():
     first = blocks("sh")[0].splitlines()
     assert [line.split("#")[0].strip() for line in first] == ["make sweep", "make test"]

@@ -1,4 +1,4 @@
-"""The commands that a map's page prints make the map again, bit by bit, when they are run as they stand."""
+"""The commands on a map's page make the map again, bit by bit, when they are run unchanged."""
 
 import html
 import os
@@ -19,7 +19,11 @@ ROOT = pathlib.Path(__file__).parent.parent
 BOX = {"lower": (0.2, -0.3, 0.0), "upper": (0.6, 0.3, 0.4), "spacing": 0.1}
 MAPS = {
     "float64": {"orientations": 12, "dtype": "float64"},
-    "a list": {"orientations": ikjax.maps.even_rotations(12).rotations[::2], "dtype": "float32", "rolls": 2},
+    "a list": {
+        "orientations": ikjax.maps.even_rotations(12).rotations[::2],
+        "dtype": "float32",
+        "free_rolls": 2,
+    },
     "certified": {"orientations": ikjax.maps.hopf(0), "dtype": "float32", "certify": True},
     "mask": {"orientations": ikjax.maps.cone((0, 0, -1), 0.5, 9), "statistics": ["mask", "best_sigma_min"]},
     "near": {"orientations": 16, "statistics": ["reachable", ikjax.maps.Near(0.01, 0.5, "nearly")]},
@@ -27,7 +31,7 @@ MAPS = {
 
 
 def swept(folder, name: str) -> pathlib.Path:
-    """A stored map, whose name has a blank and a quote."""
+    """A stored map, whose name has a space and a quote."""
     out = folder / f"{name}'s map.zarr"
     arm = ikjax.robots.motoman_l3() if name == "near" else ikjax.robots.puma560()
     ikjax.sweep(arm, ikjax.maps.grid(**BOX), out=out, **MAPS[name])
@@ -35,7 +39,7 @@ def swept(folder, name: str) -> pathlib.Path:
 
 
 def run(folder, *words) -> str:
-    """What a program says, started as a user would: without this suite's settings."""
+    """The output of a program, started as by a user: without this suite's settings."""
     kept = {key: value for key, value in os.environ.items() if key != "JAX_ENABLE_X64"}
     paths = {"PYTHONPATH": str(ROOT), "PATH": f"{folder / 'bin'}{os.pathsep}{os.environ['PATH']}"}
     done = subprocess.run(
@@ -46,14 +50,14 @@ def run(folder, *words) -> str:
 
 
 def parts(words: str) -> tuple[str, str]:
-    """Python and shell of a recipe."""
+    """The commands of a page, in Python and in a shell."""
     python, mark, shell = words.partition("# in a shell")
     assert mark and "ikjax.sweep" in python
     return python, mark + shell
 
 
 def again(folder, out) -> None:
-    """The bits of the map that was made by the commands are those of the first."""
+    """Assert that the map that the commands made has the bits of the first."""
     first, second = (ikjax.ReachMap.load(each).to_numpy() for each in (out, folder / "again.zarr"))
     assert {k: v.tobytes() for k, v in first.items()} == {k: v.tobytes() for k, v in second.items()}
     assert first
@@ -61,7 +65,7 @@ def again(folder, out) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", MAPS)
-def test_the_python_of_a_recipe_makes_the_same_bits(name, tmp_path):
+def test_the_python_of_a_page_makes_the_same_bits(name, tmp_path):
     out = swept(tmp_path, name)
     python, _ = parts(page.repeat(ikjax.ReachMap.load(out), out.name))
     run(tmp_path, sys.executable, "-c", python)
@@ -69,7 +73,7 @@ def test_the_python_of_a_recipe_makes_the_same_bits(name, tmp_path):
 
 
 @pytest.mark.slow
-def test_all_of_the_recipe_is_run_as_it_stands_on_the_page(tmp_path):
+def test_all_commands_are_run_as_they_stand_on_the_page(tmp_path):
     out = swept(tmp_path, "a list")
     (tmp_path / "bin").mkdir()
     command = tmp_path / "bin" / "ikjax"
@@ -82,12 +86,12 @@ def test_all_of_the_recipe_is_run_as_it_stands_on_the_page(tmp_path):
     run(tmp_path, sys.executable, "-c", python)
     again(tmp_path, out)
     shown.unlink()
-    said = run(tmp_path, "sh", "-e", "-c", shell)
-    assert "positions that differ      0" in said
+    printed = run(tmp_path, "sh", "-e", "-c", shell)
+    assert "positions that differ      0" in printed
     assert shown.exists() and (tmp_path / "again.html").exists()
 
 
-def test_a_measure_of_ones_own_is_asked_for(tmp_path):
+def test_a_custom_measure_is_left_to_the_user(tmp_path):
     count = ikjax.maps.Measure("most", lambda sol: sol.valid.sum(-1).astype("float32"), "max")
     positions = ikjax.maps.grid((0.4, 0, 0), (0.5, 0.1, 0.1), 0.1)
     reach = ikjax.sweep(ikjax.robots.gx4_351s(), positions, 4, statistics=["reachable", count])
@@ -98,6 +102,6 @@ def test_a_measure_of_ones_own_is_asked_for(tmp_path):
 @pytest.mark.slow
 def test_a_map_without_counts_is_shown_on_a_page_without_their_pictures(tmp_path):
     out = swept(tmp_path, "mask")
-    said = run(tmp_path, sys.executable, "-m", "ikjax.cli", "show", out.name)
-    assert "page" in said and "picture" not in said
+    printed = run(tmp_path, sys.executable, "-m", "ikjax.cli", "show", out.name)
+    assert "page" in printed and "picture" not in printed
     assert not list(tmp_path.glob("*.png"))

@@ -1,5 +1,7 @@
-"""The arm: DH numbers as differentiable leaves, and the few facts that are fixed when it is built.
+"""The arm: DH parameters as differentiable leaves, and the few facts that are fixed when it is built.
 
+`Arm.from_dh` and `Arm.from_urdf` build one. `Arm.split` and `Arm.join` part it into what a compiled program
+knows of it and the numbers that the program is called with.
 
 Source of the conventions: standard DH after Spong, Robot Modeling and Control, section 3.2;
 modified DH after Craig, Introduction to Robotics, 3rd ed., section 3.4.
@@ -7,21 +9,25 @@ modified DH after Craig, Introduction to Robotics, 3rd ed., section 3.4.
 
 import dataclasses
 import math
+import os
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 
 from ikjax.arm import dh, printing
 from ikjax.arm.axes_to_dh import Axes, Rewritten, rewritten, size_of
 from ikjax.arm.recognition import free_parameters, recognize
 from ikjax.arm.recognition.rules import RULES
+from ikjax.arm.recognition.signs import named_signs
 from ikjax.core import pose as poses
 from ikjax.core import text
 from ikjax.core.known import as_array, constants, is_traced
 from ikjax.core.tolerances import AXIS_LADDER, COMPLETE, FACT, LARGEST_AXIS_TOLERANCE, TABLE_SPREAD
 from ikjax.core.trig import Scalar
+from ikjax.core.typing import ArrayInput
 from ikjax.core.warn import warn
 
 Number = jax.Array | np.ndarray
@@ -52,85 +58,114 @@ class Arm:
     limits: Number
     """(n, 2) lower and upper joint limit [rad, m]; infinite where there is none."""
     coupling: Number | None = dataclasses.field(default=None, kw_only=True)
-    """(n, n) from motor values, which are what `q` holds, to joint values; None is the identity."""
+    """(n, n) matrix from motor values, which are what `q` holds, to joint values; None is the identity."""
     correction: Number | None = dataclasses.field(default=None, kw_only=True)
     """(n + 1, 6) what the arm as given is off by after the base and after each link: shift [m], rotation
-    vector [rad]. The table holds the arm as recognized; None is nothing."""
+    vector [rad]. The table holds the arm as recognized; None is no correction."""
+    joint_names: tuple[str, ...] | None = dataclasses.field(
+        default=None, kw_only=True, metadata={"static": True}
+    )
+    """Names of the joints in the arm's file, one for each entry of `q`; None where there are none.
+
+    Of joints that are driven together it is the name of the one that leads.
+    """
 
     kinds: str = dataclasses.field(metadata={"static": True})
-    """The joints from base to tool, "R" or "P" each."""
+    """The joints from base to tool, "R" (revolute) or "P" (prismatic) each."""
     name: str = dataclasses.field(metadata={"static": True})
+    """For people: it is in no compiled program."""
     family: str | None = dataclasses.field(metadata={"static": True})
-    """The closed form that solves this arm, or None; a promise about the twists."""
+    """The closed form that solves this arm, or None; a promise about the twists that a new `alpha` keeps."""
     signs: tuple = dataclasses.field(metadata={"static": True})
-    """What the family's kernel must know about the twists: signs of their sines and cosines."""
+    """What the family's kernel must know besides the numbers: its NamedTuple of `arm.recognition.signs`."""
     branches: tuple[str, ...] = dataclasses.field(metadata={"static": True})
     """What each slot means, in slot order."""
     task: str = dataclasses.field(metadata={"static": True})
     """What a goal controls: "pose", "position", "planar_pose" or "planar_position"."""
 
     def __post_init__(self):
-        # Files name arms, and names go into tables, errors and logs: there they are one line each.
+        # Files name arms and joints, and names go into tables, errors and logs: there they are one line each.
         object.__setattr__(self, "name", text.line(self.name))
         object.__setattr__(self, "branches", tuple(map(text.line, self.branches)))
+        if self.joint_names is not None:
+            object.__setattr__(self, "joint_names", tuple(map(text.line, self.joint_names)))
+        # Whoever builds an arm may give a plain tuple.
+        object.__setattr__(self, "signs", named_signs(self.family, self.signs))
 
     @staticmethod
     def from_dh(
         *,
-        a,
-        alpha,
-        d,
+        a: ArrayInput,
+        alpha: ArrayInput,
+        d: ArrayInput,
         convention: str,
-        theta=None,
+        theta: ArrayInput | None = None,
         kinds: str | None = None,
-        limits=None,
-        base=None,
-        tool=None,
+        limits: ArrayInput | None = None,
+        base: ArrayInput | None = None,
+        tool: ArrayInput | None = None,
         name: str = "arm",
         family: str | None = None,
-        coupling=None,
-        correction=None,
+        coupling: ArrayInput | None = None,
+        correction: ArrayInput | None = None,
         axis_tolerance: float | None = None,
-        dtype=None,
+        dtype: DTypeLike | None = None,
     ) -> "Arm":
         """An arm from its DH table; the closed form is recognized here, once.
 
         Args:
             a, alpha, d: (n,) link lengths [m], twists [rad], offsets [m]. In the modified
-                convention row i holds a(i-1) and alpha(i-1), as in Craig's tables. A table of far larger
+                convention row i holds a(i-1) and alpha(i-1), as in Craig's tables. A table with far larger
                 lengths than the arm has is rewritten, with the rest in `correction`.
             convention: "standard" or "modified"; there is no default, because a wrong guess is silent.
             theta: (n,) joint angles at q = 0 [rad], zero by default.
-            kinds: "R" or "P" for each joint; all "R" by default.
-            limits: (n, 2) lower, upper [rad, m]. None, or infinities, where there are none.
-            base: (4, 4) T_world_base. tool: (4, 4), mounted on the last link.
+            kinds: "R" (revolute) or "P" (prismatic) for each joint; all "R" by default.
+            limits: (n, 2) lower and upper limit of each joint [rad, m]. None, or infinities, where there are
+                none.
+            base: (4, 4) T_world_base; the identity by default.
+            tool: (4, 4) T_flange_tool, in the frame of the last link; the identity by default.
             name: For people.
             family: The closed form to use instead of the first that fits. Needed when a length or
                 an offset is traced; the twists must be concrete numbers either way.
             coupling: (n, n) from motor values to joint values, where joints are driven together;
                 `q`, `limits` and `q_now` are motor values.
-            correction: (n + 1, 6) what the arm is off by after the base and after each link.
-            axis_tolerance: Axes that are parallel, square or meeting to so much [rad, and as a share of the
-                arm's size] are recognized as such, the rest is kept in `correction`: for calibrated
-                tables. None takes the table at its word.
+            correction: (n + 1, 6) what the arm is off by after the base and after each link: shift [m],
+                rotation vector [rad] of at most 0.05 rad.
+            axis_tolerance: Axes that are parallel, perpendicular or meeting to this tolerance [rad, and as a
+                share of the arm's size] are recognized as such, and the rest becomes `correction`: for
+                calibrated tables. At most 0.02. None takes the table at its word.
             dtype: Of the leaves; by default JAX's own (float64 when x64 is on).
 
         Raises:
             ValueError: A missing or wrong shape, a NaN, limits that cross, an unknown convention,
-                or a named family that the arm does not belong to.
+                a named family that the arm does not belong to, `axis_tolerance` together with `correction`
+                or with traced numbers.
+
+        Warns:
+            Where angles are probably in degrees or lengths in millimetres, and where rounded numbers keep
+            the arm from a faster family.
+
+        Source: Spong, Robot Modeling and Control, section 3.2 (standard); Craig, Introduction to Robotics,
+        3rd ed., section 3.4 (modified).
         """
         n = dh.count_joints(a=a, alpha=alpha, d=d)
         kinds = dh.check_kinds(kinds, n)
         columns = {"a": a, "alpha": alpha, "d": d, "theta": np.zeros(n) if theta is None else theta}
-        columns = {name: dh.row(name, column, n) for name, column in columns.items()}
-        base = dh.check_pose("base", np.eye(4) if base is None else base)
-        tool = dh.check_pose("tool", np.eye(4) if tool is None else tool)
+        columns = {key: dh.column(key, column, n) for key, column in columns.items()}
+        T_world_base = dh.check_pose("base", np.eye(4) if base is None else base)
+        T_flange_tool = dh.check_pose("tool", np.eye(4) if tool is None else tool)
         limits, coupling = dh.check_limits(limits, kinds), dh.check_coupling(coupling, n)
-        columns, base, up = dh.to_standard(convention, columns, base)
-        leaves = {**columns, "base": base, "tool": tool, "limits": limits, "coupling": coupling}
+        columns, T_world_base, up = dh.to_standard(convention, columns, T_world_base)
+        leaves = {
+            **columns,
+            "base": T_world_base,
+            "tool": T_flange_tool,
+            "limits": limits,
+            "coupling": coupling,
+        }
         leaves["correction"] = dh.check_correction(correction, n)
         if axis_tolerance is None and correction is None and _spread_out(kinds, columns):
-            return _nearest(_axes_of(kinds, columns, tool), leaves, 0.0, family, up, name, dtype)
+            return _nearest(_axes_of(kinds, columns, T_flange_tool), leaves, 0.0, family, up, name, dtype)
         if axis_tolerance is None:
             arm = _built(kinds, leaves, family, up, name, dtype)
             if family is None:
@@ -140,40 +175,53 @@ class Arm:
             raise ValueError("correction is what axis_tolerance= finds: give one or the other")
         if is_traced(leaves):
             raise ValueError("axis_tolerance= needs concrete numbers: build the arm outside jit")
-        return _nearest(_axes_of(kinds, columns, tool), leaves, axis_tolerance, family, up, name, dtype)
+        return _nearest(
+            _axes_of(kinds, columns, T_flange_tool), leaves, axis_tolerance, family, up, name, dtype
+        )
 
     @staticmethod
     def from_urdf(
-        source,
+        source: str | bytes | os.PathLike,
         base: str | None = None,
         tip: str | None = None,
         *,
         axis_tolerance: float | None = None,
-        coupling=None,
+        coupling: ArrayInput | None = None,
         name: str | None = None,
         family: str | None = None,
-        dtype=None,
+        dtype: DTypeLike | None = None,
     ) -> "Arm":
         """An arm from the joints between two links of a URDF file; needs the extra `urdf`.
 
-        Files hold rounded numbers. Axes that are parallel, square or meeting to the tolerance are
-        recognized as such; what they are off by is kept in `correction`, and `solve` answers for the
+        Files hold rounded numbers. Axes that are parallel, perpendicular or meeting to the tolerance are
+        recognized as such; what they are off by becomes `correction`, and `solve` answers for the
         arm as the file has it. Joints that mimic others become `coupling`, where parallel neighbors
-        combine to one joint a motor: `q` then holds the values of the joints that lead.
+        combine to one joint a motor: `q` then holds the values of the joints that lead. Their names are
+        `joint_names`, in the order of `q`.
 
         Args:
-            source: A path, or the XML itself. Meshes are never opened and nothing is fetched.
+            source: A path, or the XML itself: bytes, or a str that starts with "<". Meshes are never opened
+                and nothing is fetched.
             base, tip: Names of links; by default the root, and the one leaf.
             axis_tolerance: How far axes may be off [rad], and as a share of the arm's size; at most 0.02. By
                 default the least of 1e-5, 1e-4 and 1e-3 that gives the arm a family.
-            coupling, name, family, dtype: As in `from_dh`.
+            coupling: As in `from_dh`, for a file whose joints mimic no others.
+            name: For people; by default that of the file.
+            family, dtype: As in `from_dh`.
 
         Warns:
-            Where a turning joint has no limits, or the last joints look like a gripper's.
+            Where a revolute joint has no limits, an axis has no unit length, or the last joints look like a
+            gripper's.
 
         Raises:
-            ArmFileError: A file that is not sound, or holds what is no serial arm of turning and
-                sliding joints: with its line and the element.
+            ArmFileError: A file that is not sound, or holds what is no serial arm of revolute and
+                prismatic joints: with its line and the element.
+            ValueError: `axis_tolerance` out of range, a `coupling` of a wrong shape or beside joints that
+                mimic others, a named family that the arm does not belong to.
+            ImportError: The extra `urdf` is not installed.
+            OSError: The file cannot be read.
+
+        Source: the URDF specification, wiki.ros.org/urdf/XML/joint.
         """
         from ikjax.arm.urdf.reader import axes_of, read_chain
 
@@ -185,7 +233,8 @@ class Arm:
         limits = dh.check_limits(ranges, given.kinds)
         leaves = {"limits": limits, "coupling": coupling, "base": np.eye(4)}
         up = -1 if given.along[0][2] < -1e-9 else 1
-        return _nearest(given, leaves, axis_tolerance, family, up, name or chain.name, dtype)
+        arm = _nearest(given, leaves, axis_tolerance, family, up, name or chain.name, dtype)
+        return dataclasses.replace(arm, joint_names=chain.motors)
 
     @property
     def n(self) -> int:
@@ -193,7 +242,7 @@ class Arm:
         return len(self.kinds)
 
     @property
-    def dtype(self):
+    def dtype(self) -> np.dtype:
         """Floating type of the leaves."""
         return self.alpha.dtype
 
@@ -213,18 +262,21 @@ class Arm:
 
     @property
     def free(self) -> tuple[str, ...]:
-        """Numbers of the table that may move a little and the family stays: "a2", "d4", ...
+        """The parameters of the table that may change a little without leaving the family: "a2", "d4", ...
 
-        Base and tool always may. Found by moving each; see `arm.recognition.free_parameters`.
+        Base and tool always may. Each is tried by changing it; see `arm.recognition.free_parameters`.
+
+        Raises:
+            ValueError: An arm of no family, or one whose numbers are traced.
         """
         return free_parameters.free(self)
 
-    def astype(self, dtype) -> "Arm":
+    def astype(self, dtype: DTypeLike) -> "Arm":
         """The same arm with leaves of another floating type.
 
-        Where that is wider, what was rounded to the narrower one is what it stood for: right angles between
-        axes are right angles, and base and tool are rotations, to the last digit. Otherwise no goal would be
-        reached to 1e-9.
+        Where that is wider, the rounding to the narrower type is undone: twists that rounding alone keeps
+        from a multiple of a right angle become one, and base and tool become rotations, to the last digit.
+        Otherwise no goal would be reached to 1e-9.
         """
         arm = jax.tree.map(lambda leaf: as_array(leaf, dtype), self)
         if arm.base.dtype.itemsize <= self.base.dtype.itemsize:
@@ -246,19 +298,28 @@ class Arm:
         )
 
     def baked(self) -> "Arm":
-        """The same arm as plain numpy numbers, which a kernel folds in as constants; traced leaves stay.
+        """The same arm with numpy leaves, which a program takes in as constants; traced leaves stay.
 
-        For one arm and very many goals; every change of a number compiles anew.
+        For one arm and very many goals; a change of any number compiles again.
         """
         return constants(self)
 
     def split(self, whole: bool = False) -> tuple[tuple, list]:
-        """The arm as what a kernel gains by knowing, hashable, and the numbers it need not know.
+        """The arm in two parts: what a program is compiled for, and the numbers that it is called with.
 
-        Known are the twists, the correction and whatever is 0, 1 or -1: arms that agree in those share a
-        compile. With `whole` everything is known but traced leaves. The name is in neither part.
+        The first part holds the twists, the correction and whatever is 0, 1 or -1, because a kernel is faster
+        when it knows them. Arms that agree in it share a compiled program. The names of the arm and of its
+        joints are in neither part.
+
+        Args:
+            whole: Put all numbers into the first part, but for traced leaves.
+
+        Returns:
+            known: Hashable: the structure of the tree, and for each leaf its shape, its type, which entries
+                are known, and their values.
+            rest: For each leaf the entries that are not known.
         """
-        arm = dataclasses.replace(self, name="").baked()
+        arm = dataclasses.replace(self, name="", joint_names=None).baked()
         leaves, treedef = jax.tree.flatten(arm)
         known: list[tuple] = []
         rest: list[Number] = []
@@ -267,28 +328,32 @@ class Arm:
                 known.append((leaf.shape, leaf.dtype.name, None, b""))
                 rest.append(leaf)
                 continue
-            keep = np.isin(leaf, (0, 1, -1)) | (leaf is arm.alpha) | (leaf is arm.correction) | whole
-            known.append((leaf.shape, leaf.dtype.name, keep.tobytes(), leaf[keep].tobytes()))
-            rest.append(leaf[~keep])
+            fixed = np.isin(leaf, (0, 1, -1)) | (leaf is arm.alpha) | (leaf is arm.correction) | whole
+            known.append((leaf.shape, leaf.dtype.name, fixed.tobytes(), leaf[fixed].tobytes()))
+            rest.append(leaf[~fixed])
         return (treedef, tuple(known)), rest
 
     @staticmethod
     def join(known: tuple, rest: list) -> "Arm":
-        """The arm of `split`, its numbers Python floats where they are known."""
+        """The arm of the two parts of `split`, without its names.
+
+        A leaf of which some entries are known is a numpy array of objects: Python floats where they are
+        known, scalars of jax elsewhere.
+        """
         treedef, parts = known
         leaves = []
-        for (shape, dtype, keep, values), others in zip(parts, rest, strict=True):
-            if keep is None:
+        for (shape, dtype, fixed, values), others in zip(parts, rest, strict=True):
+            if fixed is None:
                 leaves.append(others)
                 continue
-            keep = np.frombuffer(keep, bool)
+            fixed = np.frombuffer(fixed, bool)
             values = np.frombuffer(values, dtype)
-            if keep.all():
+            if fixed.all():
                 leaves.append(values.reshape(shape))
                 continue
-            leaf = np.empty(keep.shape, object)
-            leaf[keep] = [float(x) for x in values]
-            for i, place in enumerate(np.flatnonzero(~keep)):
+            leaf = np.empty(fixed.shape, object)
+            leaf[fixed] = [float(x) for x in values]
+            for i, place in enumerate(np.flatnonzero(~fixed)):
                 leaf[place] = others[i]
             leaves.append(leaf.reshape(shape))
         return jax.tree.unflatten(treedef, leaves)
@@ -303,7 +368,7 @@ class Arm:
 def _built(
     kinds: str, leaves: dict, family: str | None, up: int, name: str, dtype, closed_form: bool = True
 ) -> Arm:
-    """The arm of finished leaves, its family recognized where it may have one."""
+    """The arm of checked leaves in standard DH; its family is looked for where `closed_form` says so."""
     verdict = recognize.recognize(kinds, leaves, family, up) if closed_form else recognize.NONE
     split = recognize.split_exactly(kinds, leaves, verdict)
     if split is not leaves:
@@ -324,13 +389,17 @@ def _built(
 
 
 def _axes_of(kinds: str, columns: dict, tool: np.ndarray) -> Axes:
-    frames = dh.frames(kinds, columns)
+    """The axes at q = 0 in the frame of the base, and the tool, a (4, 4) T_flange_tool, there."""
+    frames = dh.frames(columns)
     return Axes(kinds, frames[:-1, :3, 2], frames[:-1, :3, 3], frames[-1] @ tool)
 
 
 def _spread_out(kinds: str, columns: dict) -> bool:
-    """Whether a table counts by lengths far beyond the arm's own, as common normals of axes that are parallel
-    but for rounding make it do: in float32 they would cancel to millimetres."""
+    """Whether a table has lengths far beyond the arm's own, which cancel.
+
+    The common normal of axes that are parallel but for rounding lies that far away. In float32 an error of
+    millimetres would be left.
+    """
     if is_traced(columns):
         return False
     largest = max(np.abs(columns["a"]).max(), np.abs(columns["d"]).max())
@@ -338,16 +407,15 @@ def _spread_out(kinds: str, columns: dict) -> bool:
 
 
 def _warn_of_rounded_twists(arm: Arm, leaves: dict, up: int) -> None:
-    """Say that a table is of a faster family but for rounded numbers, which `axis_tolerance` would
-    forgive."""
+    """Warn where rounded numbers alone keep a table from a faster family; `axis_tolerance` would find it."""
     if arm.family is None:
         return  # `solve` refuses it, and says the same
     rank = list(RULES).index
     for each in AXIS_LADDER[:1]:
-        near = recognize.recognize(arm.kinds, leaves, None, up, each).family
-        if near is not None and rank(near) < rank(arm.family):
+        faster = recognize.recognize(arm.kinds, leaves, None, up, each).family
+        if faster is not None and rank(faster) < rank(arm.family):
             warn(
-                f"{arm.name} is taken as {arm.family}; but for rounded numbers it is {near}, which is "
+                f"{arm.name} is taken as {arm.family}; but for rounded numbers it is {faster}, which is "
                 f"faster: build it with axis_tolerance={each:g}"
             )
 
@@ -355,10 +423,10 @@ def _warn_of_rounded_twists(arm: Arm, leaves: dict, up: int) -> None:
 def _nearest(
     given: Axes, leaves: dict, axis_tolerance: float | None, family, up: int, name: str, dtype
 ) -> Arm:
-    """The arm of axes in space, its table exact to the least tolerance that gives it a family.
+    """The arm of axes in space, its table made exact to the least tolerance that gives it a family.
 
-    Of the exact table and that of the first tolerance the one with the faster family is taken; looser ones
-    are tried where neither has any.
+    Of the exact table and that of the first tolerance, the one with the faster family is taken. The looser
+    tolerances are tried where neither has a family.
     """
     if axis_tolerance is not None and not 0 <= axis_tolerance <= LARGEST_AXIS_TOLERANCE:
         raise ValueError(
@@ -372,12 +440,12 @@ def _nearest(
             break
         table = rewritten(given, each)
         numbers = {**table.columns, "tool": table.tool}
-        found = recognize.recognize(given.kinds, numbers, None, up).family
+        recognized = recognize.recognize(given.kinds, numbers, None, up).family
         # Axes that are made parallel for the size of the numbers may be off by more than was asked for.
         within = _largest(table.correction, numbers) <= 4 * each
-        rank = (
-            none if found is None or family not in (None, found) or not within else list(RULES).index(found)
-        )
+        usable = recognized is not None and family in (None, recognized) and within
+        # The rank of a family is its place in RULES, where the faster ones come first.
+        rank = list(RULES).index(str(recognized)) if usable else none
         if best is None or rank < best[0]:
             best = rank, table
     assert best is not None

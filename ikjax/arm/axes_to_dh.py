@@ -1,8 +1,9 @@
-"""Axes in space rewritten as a DH table, and what the table leaves out.
+"""Axes in space rewritten as a DH table, and a correction for what the table leaves out.
 
 A file or a calibration places each axis by rounded or measured numbers. Axes that are
-parallel, square or meeting within a tolerance are made so exactly in the table; the rest goes into
+parallel, perpendicular or meeting within a tolerance are made so exactly in the table; the rest becomes
 one small correction after each link, so that the arm is the one that was given.
+
 Source: Denavit and Hartenberg's rule after Spong, Robot Modeling and Control, section 3.2.2.
 """
 
@@ -10,22 +11,26 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ikjax.arm.dh import link_matrix
 from ikjax.core.tolerances import FARTHEST_NORMAL, NEARLY_PARALLEL
 
 
 class Axes(NamedTuple):
-    """Where the joints' axes are at q = 0, and where the last link ends."""
+    """The joints' axes and the tool at q = 0, in the frame of the base."""
 
     kinds: str
+    """ "R" or "P" for each joint."""
     along: np.ndarray
     """(n, 3) unit directions."""
     points: np.ndarray
     """(n, 3) a point of each [m]."""
     tip: np.ndarray
-    """(4, 4) the tool at q = 0."""
+    """(4, 4) the tool."""
 
 
 class Rewritten(NamedTuple):
+    """A DH table with its base, tool and correction."""
+
     columns: dict[str, np.ndarray]
     """Standard DH: a, alpha, d, theta."""
     base: np.ndarray
@@ -35,14 +40,17 @@ class Rewritten(NamedTuple):
 
 
 def rewritten(axes: Axes, tolerance: float) -> Rewritten:
-    """A DH table whose axes are parallel, square or meeting where those given are to the tolerance.
+    """A DH table whose axes are parallel, perpendicular or meeting where those given are to the tolerance.
 
-    Axes that are parallel but for rounding meet kilometres away; they are made parallel whatever the
-    tolerance, so that the numbers of the table have the arm's own size.
+    The common normal of axes that are parallel but for rounding is kilometres away. They are made parallel
+    whatever the tolerance, so that the numbers of the table have the arm's own size.
 
     Args:
-        axes: What is given.
+        axes: The axes as given.
         tolerance: [rad], and as a share of the arm's size.
+
+    Returns:
+        The table. With its correction its frames have the axes as given.
     """
     n = len(axes.kinds)
     size = size_of(axes)
@@ -55,10 +63,11 @@ def rewritten(axes: Axes, tolerance: float) -> Rewritten:
         theta, d, a, alpha = _link(exact, axes, i, tolerance, size)
         for name, value in zip(("theta", "d", "a", "alpha"), (theta, d, a, alpha), strict=True):
             columns[name][i] = value
-        step = _dh(theta, d, a, alpha)
+        step = link_matrix(theta, d, a, np.sin(alpha), np.cos(alpha))
         exact = exact @ step
         following = _on_axis(exact, axes.along[i + 1], _point(axes, i + 1, exact))
-        # given_i Rz(q) step correction = given_i Rz(q) (given_i^-1 following)
+        # At q the link as given ends at given Rz(q) given^-1 following; with this correction the table's link
+        # ends there too: given Rz(q) step correction.
         corrections.append(twist_of(np.linalg.inv(step) @ np.linalg.inv(given) @ following))
         given = following
     corrections.append(np.zeros(6))
@@ -67,7 +76,10 @@ def rewritten(axes: Axes, tolerance: float) -> Rewritten:
 
 
 def size_of(axes: Axes) -> float:
-    """From point to nearest point of the next axis: a table may name points that are kilometres away."""
+    """The size of the arm [m]: from the base from axis to axis by nearest points, to the tool.
+
+    A table may name points of an axis that are kilometres away.
+    """
     ends = [np.zeros(3)]
     for along, point in zip(axes.along, axes.points, strict=True):
         ends.append(point + ((ends[-1] - point) @ along) * along)
@@ -76,7 +88,7 @@ def size_of(axes: Axes) -> float:
 
 
 def _first(axes: Axes) -> np.ndarray:
-    """A frame on axis 1: its origin nearest to the base's, its x as near to the base's as can be."""
+    """A frame on axis 1: its origin is the point nearest to the base, its x is near the base's x, or y."""
     z = axes.along[0]
     point = axes.points[0] - (axes.points[0] @ z) * z
     x = np.eye(3)[0] if abs(z[0]) < 0.9 else np.eye(3)[1]
@@ -84,6 +96,7 @@ def _first(axes: Axes) -> np.ndarray:
 
 
 def _frame(x: np.ndarray, z: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    """(4, 4) a frame with this z, and an x that is made perpendicular to it."""
     x = x - (x @ z) * z
     x = x / np.linalg.norm(x)
     frame = np.eye(4)
@@ -92,20 +105,23 @@ def _frame(x: np.ndarray, z: np.ndarray, origin: np.ndarray) -> np.ndarray:
     return frame
 
 
-def _on_axis(near: np.ndarray, along: np.ndarray, point: np.ndarray) -> np.ndarray:
+def _on_axis(frame: np.ndarray, along: np.ndarray, point: np.ndarray) -> np.ndarray:
     """The frame on an axis that is nearest to another frame."""
-    origin = point + ((near[:3, 3] - point) @ along) * along
-    return _frame(near[:3, 0], along, origin)
+    origin = point + ((frame[:3, 3] - point) @ along) * along
+    return _frame(frame[:3, 0], along, origin)
 
 
 def _point(axes: Axes, i: int, exact: np.ndarray) -> np.ndarray:
-    """A point of an axis; a slide has no place of its own, so it goes where the table has it."""
+    """A point of an axis. A prismatic axis has only a direction: it goes through the table's origin."""
     return axes.points[i] if axes.kinds[i] == "R" else exact[:3, 3]
 
 
 def _link(frame: np.ndarray, axes: Axes, i: int, tolerance: float, size: float):
-    """theta, d, a, alpha from a frame on axis i to one on axis i + 1."""
-    along, near = axes.along[i + 1], tolerance * size
+    """theta, d, a, alpha from a frame on axis i to one on axis i + 1.
+
+    Source: Spong, Robot Modeling and Control, section 3.2.2.
+    """
+    along, least = axes.along[i + 1], tolerance * size
     origin, z = frame[:3, 3], frame[:3, 2]
     point = axes.points[i + 1] if axes.kinds[i + 1] == "R" else origin
     cross = np.cross(z, along)
@@ -113,12 +129,12 @@ def _link(frame: np.ndarray, axes: Axes, i: int, tolerance: float, size: float):
     gap = point - origin
     far = abs(float(np.cross(gap, along) @ cross)) > FARTHEST_NORMAL * size * sine**2
     if sine <= tolerance or (far and sine <= NEARLY_PARALLEL):
-        # Parallel: the normal is laid through the frame's own origin, to the next axis where it is near.
+        # Parallel axes have many common normals: that through the frame's own origin has d = 0.
         gap = gap - (gap @ along) * along
         normal = gap - (gap @ z) * z
         a, d = float(np.linalg.norm(normal)), 0.0
-        x = normal / a if a > near else frame[:3, 0]
-        a = a if a > near else 0.0
+        x = normal / a if a > least else frame[:3, 0]
+        a = a if a > least else 0.0
         alpha = 0.0 if cosine > 0 else np.pi
     else:
         x = cross / sine
@@ -129,11 +145,11 @@ def _link(frame: np.ndarray, axes: Axes, i: int, tolerance: float, size: float):
         alpha = float(np.arctan2(np.cross(z, along) @ x, cosine))
         if abs(cosine) <= tolerance:
             alpha = np.copysign(np.pi / 2, alpha)
-        a = a if a > near else 0.0
-        d = d if abs(d) > near else 0.0
+        a = a if a > least else 0.0
+        d = d if abs(d) > least else 0.0
     theta = float(np.arctan2(x @ frame[:3, 1], x @ frame[:3, 0]))
     if a == 0 and abs(theta) > np.pi / 2:
-        # Meeting axes have two normals; the one that turns less is easier to read.
+        # The normal of meeting axes may point either way; the smaller theta is easier to read.
         theta, alpha = theta - np.copysign(np.pi, theta), -alpha
     if axes.kinds[i] == "P":
         quarter = np.round(theta / (np.pi / 2)) * np.pi / 2
@@ -141,20 +157,11 @@ def _link(frame: np.ndarray, axes: Axes, i: int, tolerance: float, size: float):
     return theta, d, a, alpha
 
 
-def _dh(theta: float, d: float, a: float, alpha: float) -> np.ndarray:
-    c, s, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
-    return np.array(
-        [
-            [c, -s * ca, s * sa, a * c],
-            [s, c * ca, -c * sa, a * s],
-            [0, sa, ca, d],
-            [0, 0, 0, 1.0],
-        ]
-    )
-
-
 def small_pose(twist: np.ndarray) -> np.ndarray:
-    """(4, 4) of a shift and a rotation vector."""
+    """(4, 4) the pose of a shift and a rotation vector, (6,).
+
+    Source: Rodrigues' formula.
+    """
     pose, angle = np.eye(4), float(np.linalg.norm(twist[3:]))
     x, y, z = twist[3:]
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -166,7 +173,7 @@ def small_pose(twist: np.ndarray) -> np.ndarray:
 
 
 def twist_of(pose: np.ndarray) -> np.ndarray:
-    """Shift and rotation vector of a pose near the identity."""
+    """(6,) the shift and the rotation vector of a pose near the identity; the inverse of `small_pose`."""
     r = pose[:3, :3]
     axial = np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]) / 2
     sine = float(np.linalg.norm(axial))

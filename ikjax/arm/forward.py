@@ -1,5 +1,7 @@
-"""Forward kinematics: where every link and the tool stand.
+"""Forward kinematics: where every link and the tool are, and the reach, which is the unit of length.
 
+`fk` and `frames` take arrays; the rest is in scalars, for kernels. The functions of `Link` go from frame to
+frame in both directions: `advance`, `unwind` and `strip`.
 
 Source: Spong, Robot Modeling and Control, equation (3.10).
 """
@@ -19,8 +21,9 @@ from ikjax.core import vector
 from ikjax.core.known import as_array
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Scalar, sincos
+from ikjax.core.typing import ArrayInput
 from ikjax.core.vector import plus, times
-from ikjax.core.xla import pin
+from ikjax.core.xla import pin, pin_number
 
 
 class Link(NamedTuple):
@@ -35,25 +38,17 @@ class Link(NamedTuple):
 
 
 def _twist(alpha: Scalar, noise: float) -> tuple[Scalar, ...]:
-    """Sine and cosine of a twist, exactly 0, 1 or -1 where rounding alone keeps them from it."""
+    """Sine and cosine of a twist, exactly 0, 1 or -1 where they are so to within `noise`."""
     if isinstance(alpha, float):
         exact = (math.sin(alpha), math.cos(alpha))
         return tuple(float(round(x)) if abs(x - round(x)) < noise else x for x in exact)
-    # The value is snapped, the slope is not: twists stay differentiable.
+    # The value is snapped, the derivative is not: twists stay differentiable.
     snapped = (x + jax.lax.stop_gradient(jnp.where(jnp.abs(x) < noise, -x, 0)) for x in sincos(alpha))
-    return tuple(map(_found_once, snapped))
-
-
-def _found_once(x: jax.Array) -> jax.Array:
-    """A number of a traced arm as a value of its own: XLA would find it again for every goal.
-
-    A division is dear enough that it stays out of the loops which read it.
-    """
-    return x / jnp.where(x == x, 1, 2).astype(x.dtype)
+    return tuple(map(pin_number, snapped))
 
 
 def links(arm: Arm) -> tuple[Link, ...]:
-    """The table in scalars."""
+    """The rows of the DH table in scalars."""
     noise = 4 * float(np.finfo(arm.dtype).eps)
     rows = zip(
         arm.kinds,
@@ -77,11 +72,11 @@ def known_sincos(angle: Scalar) -> tuple[Scalar, Scalar]:
     if isinstance(angle, float):
         return math.sin(angle), math.cos(angle)
     sine, cosine = sincos(angle)
-    return _found_once(sine), _found_once(cosine)
+    return pin_number(sine), pin_number(cosine)
 
 
 class Joint(NamedTuple):
-    """Where a link's joint stands: the DH angle as sine and cosine, and the DH offset."""
+    """The value of a link's joint: the DH angle as sine and cosine, and the DH offset."""
 
     sin: Scalar
     cos: Scalar
@@ -89,13 +84,16 @@ class Joint(NamedTuple):
 
 
 def advance(frame: Pose, link: Link, joint: Joint) -> Pose:
-    """The frame after the link: T_0_i from T_0_(i-1)."""
+    """The frame after the link: T_0_i from T_0_(i-1).
+
+    Source: Spong, Robot Modeling and Control, equation (3.10), by columns.
+    """
     x, y, z = vector.transpose(frame.rotation)
-    ahead = _mix(joint.cos, x, joint.sin, y)
-    aside = _mix(joint.cos, y, -joint.sin, x)
+    turned_x = _mix(joint.cos, x, joint.sin, y)
+    turned_y = _mix(joint.cos, y, -joint.sin, x)
     s, c = link.sin_alpha, link.cos_alpha
-    axes = (ahead, _mix(c, aside, s, z), _mix(c, z, -s, aside))
-    step = _mix(link.a, ahead, joint.d, z)
+    axes = (turned_x, _mix(c, turned_y, s, z), _mix(c, z, -s, turned_y))
+    step = _mix(link.a, turned_x, joint.d, z)
     return Pose(vector.transpose(axes), vector.add(frame.position, step))
 
 
@@ -103,11 +101,7 @@ def unwind(goal: Pose, link: Link, joint: Joint) -> Pose:
     """The goal seen from the frame after the link: T_i_goal from T_(i-1)_goal."""
 
     def turned(x, y, z):
-        ahead, aside = (
-            _sum(joint.cos, x, joint.sin, y),
-            _sum(joint.cos, y, -joint.sin, x),
-        )
-        return ahead, aside, z
+        return _sum(joint.cos, x, joint.sin, y), _sum(joint.cos, y, -joint.sin, x), z
 
     def tilted(x, y, z):
         s, c = link.sin_alpha, link.cos_alpha
@@ -129,22 +123,27 @@ def strip(goal: Pose, link: Link, joint: Joint) -> Pose:
 
 
 def _sum(a: Scalar, u: Scalar, b: Scalar, v: Scalar) -> Scalar:
+    """a u + b v of scalars."""
     return plus(times(a, u), times(b, v))
 
 
 def _mix(a: Scalar, u: vector.Vector, b: Scalar, v: vector.Vector) -> vector.Vector:
+    """a u + b v of vectors."""
     return vector.add(vector.scale(a, u), vector.scale(b, v))
 
 
 def corrections(arm: Arm) -> tuple[Pose, ...] | None:
-    """What the arm as given is off by after the base and after each link."""
+    """What the arm as given is off by after the base and after each link, as poses; None if nothing."""
     if arm.correction is None:
         return None
     return tuple(_small_pose(numbers(arm.correction[i])) for i in range(arm.n + 1))
 
 
 def _small_pose(twist: tuple[Scalar, ...]) -> Pose:
-    """The pose of a shift and a rotation vector; the series are exact to 1e-16 up to 0.05 rad."""
+    """The pose of a shift and a rotation vector; the series are exact to 1e-16 up to 0.05 rad.
+
+    Source: Rodrigues' formula, with the Taylor series of sin(t) / t and (1 - cos(t)) / t^2.
+    """
     x, y, z = twist[3:]
     square = x * x + y * y + z * z
     first = 1 - square / 6 * (1 - square / 20 * (1 - square / 42))
@@ -166,15 +165,16 @@ def coupled(arm: Arm, q: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
 
 
 def whole_turns(arm: Arm) -> tuple[bool | jax.Array, ...]:
-    """Which joint values may change by a whole turn and leave the pose.
+    """For each entry of q, whether a whole turn leaves the pose as it is.
 
-    Those of turning joints; of motors that drive several joints those that turn all of them by whole turns
-    and slide none, as a screw does.
+    It does for a revolute joint; for a motor that drives several joints, where it turns all of them by
+    whole turns and slides none (a screw slides one).
     """
     if arm.coupling is None:
         return tuple(kind == "R" for kind in arm.kinds)
 
     def odd(kind: str, share: Scalar) -> Scalar:
+        """What a unit of the motor moves the joint by, less whole turns."""
         nearest = round(share) if isinstance(share, float) else jnp.round(share)
         return share - nearest if kind == "R" else share
 
@@ -187,18 +187,18 @@ def whole_turns(arm: Arm) -> tuple[bool | jax.Array, ...]:
 
 
 class Chain(NamedTuple):
-    """Where everything stands, in scalars and in the world."""
+    """All frames of an arm at joint values q, in scalars and in the world."""
 
     before: list[Pose]
     """The frame before each joint, the base first."""
     ends: list[Pose]
-    """The end of each link, before what the arm as given is off by there."""
+    """The frame after each link of the table, before the correction there."""
     last: Pose
     """The frame that the tool is mounted on."""
 
 
 def chain(arm: Arm, q: tuple[Scalar, ...]) -> Chain:
-    """Every frame at joint values q; each is held, see `ik.inline`."""
+    """Every frame at joint values q. Each is pinned, because all later frames need it."""
     frame, off = fixed_pose(arm.base), corrections(arm)
     frame = frame if off is None else poses.compose(frame, off[0])
     before, ends = [], []
@@ -217,46 +217,71 @@ def _columns(q: jax.Array) -> tuple[jax.Array, ...]:
     return tuple(q[..., i] for i in range(q.shape[-1]))
 
 
-def check_joints(arm: Arm, q) -> jax.Array:
-    """q as an array of the arm's type, (..., n)."""
-    q = as_array(q, arm.dtype)
-    if q.ndim == 0 or q.shape[-1] != arm.n:
-        raise ValueError(f"q must have shape (..., {arm.n}) for {arm.name}, got {q.shape}")
-    return q
+def check_joints(arm: Arm, q: ArrayInput) -> jax.Array:
+    """q as an array of the arm's type, (..., n).
+
+    Raises:
+        ValueError: Another shape.
+    """
+    values = as_array(q, arm.dtype)
+    if values.ndim == 0 or values.shape[-1] != arm.n:
+        raise ValueError(f"q must have shape (..., {arm.n}) for {arm.name}, got {values.shape}")
+    return values
 
 
-def fk(arm: Arm, q) -> jax.Array:
-    """Where the tool stands.
+def fk(arm: Arm, q: ArrayInput) -> jax.Array:
+    """The pose of the tool: forward kinematics of the arm as given, its `correction` included.
+
+    Differentiable in `q` and in the leaves of the arm.
 
     Args:
-        arm: The arm.
-        q: Joint values [rad, m], (..., n).
+        arm: The arm; it needs no family.
+        q: Joint values [rad, m], (..., n); of coupled joints, motor values.
 
     Returns:
-        T_world_tool, (..., 4, 4).
+        T_world_tool, (..., 4, 4), of the floating type of the arm.
 
     Raises:
         ValueError: q of another length.
+
+    Source: Spong, Robot Modeling and Control, equation (3.10).
     """
-    q, arm = check_joints(arm, q), arm.baked()
-    last = chain(arm, _columns(q)).last
+    values, arm = check_joints(arm, q), arm.baked()
+    last = chain(arm, _columns(values)).last
     return poses.to_matrix(poses.compose(last, fixed_pose(arm.tool)))
 
 
-def frames(arm: Arm, q) -> jax.Array:
-    """Where the base and every link stand: (..., n + 1, 4, 4), base first, the tool left out."""
-    q, arm = check_joints(arm, q), arm.baked()
-    zero = jnp.zeros_like(q[..., 0])
-    found = chain(arm, _columns(q))
-    spread = [jax.tree.map(lambda x: x + zero, frame) for frame in (*found.before, found.last)]
+def frames(arm: Arm, q: ArrayInput) -> jax.Array:
+    """The frames of the base and of every link, its `correction` included.
+
+    Args:
+        arm: The arm; it needs no family.
+        q: Joint values [rad, m], (..., n); of coupled joints, motor values.
+
+    Returns:
+        T_world_link, (..., n + 1, 4, 4): the base first, then the frame after each link. Joint i turns about
+        or slides along the z axis of frame i. The tool is left out.
+
+    Raises:
+        ValueError: q of another length.
+
+    Source: Spong, Robot Modeling and Control, equation (3.10).
+    """
+    values, arm = check_joints(arm, q), arm.baked()
+    zero = jnp.zeros_like(values[..., 0])
+    placed = chain(arm, _columns(values))
+    # The base is one frame for all of q: the zeros give every scalar the shape of a joint.
+    spread = [jax.tree.map(lambda x: x + zero, frame) for frame in (*placed.before, placed.last)]
     return jnp.stack([poses.to_matrix(frame) for frame in spread], axis=-3)
 
 
 def reach(arm: Arm) -> Scalar:
-    """Sum of the lengths in the table and the tool [m]: no tool point is further from the base.
+    """Sum of the lengths in the table and the tool [m].
 
-    It is also the unit of length everywhere. An arm without lengths, a bare wrist or a gantry, has 1 m: there
-    is nothing else to compare with.
+    While all slides are at zero, no tool point is further from the base.
+
+    It is also the unit of length of kernels and tolerances. An arm without lengths (a wrist alone, a gantry)
+    has 1 m: there is nothing else to compare with.
     """
     tool = fixed_pose(arm.tool).position
     total = sum(abs(x) for link in links(arm) for x in (link.a, link.d)) + sum(abs(x) for x in tool)

@@ -1,4 +1,4 @@
-"""An arm printed so that it can be pasted back into Python."""
+"""`print(arm)`: the call of `Arm.from_dh` that builds the arm, to be pasted into Python."""
 
 import functools
 from collections.abc import Iterable
@@ -8,7 +8,7 @@ import numpy as np
 
 
 def _number(x: float, dtype=np.float64) -> str:
-    """Shortest text that names the number; multiples of pi/12 as such."""
+    """The number to twelve digits (seven in float32), or as a multiple of pi / 12 where it is one."""
     if np.isinf(x):
         return "inf" if x > 0 else "-inf"
     digits, close = (7, 1e-6) if dtype == np.float32 else (12, 1e-12)
@@ -23,20 +23,27 @@ def _number(x: float, dtype=np.float64) -> str:
 
 
 def _column(name: str, values: Iterable[str], width: list[int]) -> str:
+    """One column of the table as a line, its entries under those of the other columns."""
     cells = [value.rjust(w) for value, w in zip(values, width, strict=True)]
     return f"    {name:<5} = [{', '.join(cells)}],"
 
 
 def paste(arm) -> str:
-    """The call to `Arm.from_dh` that makes this arm, one column of the table a line."""
+    """The call of `Arm.from_dh` that builds this arm, with one column of the table on a line.
+
+    Names of joints are a comment. A traced arm, which has no numbers to print, gives its repr.
+    """
     try:
         leaves = {k: np.asarray(v, float) for k in _LEAVES if (v := getattr(arm, k)) is not None}
     except jax.errors.TracerArrayConversionError:
-        return repr(arm)  # there are no numbers to print
+        return repr(arm)
     text = functools.partial(_number, dtype=arm.dtype)
     columns = {k: leaves[k] for k in ("a", "alpha", "d", "theta")}
     width = [max(len(text(c[i])) for c in columns.values()) for i in range(arm.n)]
-    lines = ["from ikjax import Arm", "from numpy import array, inf, pi", "", "arm = Arm.from_dh("]
+    lines = ["from ikjax import Arm", "from numpy import array, inf, pi", ""]
+    if arm.joint_names is not None:
+        lines.append(f"# Joints: {', '.join(arm.joint_names)}")
+    lines.append("arm = Arm.from_dh(")
     lines += [_column(name, map(text, values), width) for name, values in columns.items()]
     lines.append(f'    kinds = "{arm.kinds}", convention = "standard", name = {arm.name!r},')
     if np.isfinite(leaves["limits"]).any():

@@ -1,7 +1,4 @@
-"""`ikjax verify` and `ikjax doctor`: arms judged on many goals, and this device on a few.
-
-Outside the storeys.
-"""
+"""`ikjax verify` and `ikjax doctor`: arms checked on many goals, and this device on a few."""
 
 import pathlib
 import platform
@@ -13,7 +10,7 @@ import numpy as np
 
 import ikjax
 from ikjax.cli import study_file
-from ikjax.cli.say import file_options, say
+from ikjax.cli.output import file_options, print_result
 from ikjax.core.text import markdown
 
 
@@ -31,7 +28,7 @@ def run_verify(options) -> int:
         pathlib.Path(options.out).write_text("\n".join(lines) + "\n", encoding="utf-8")
     width = [max(len(row[k]) for row in (head, *rows)) for k in range(len(head))]
     text = ["  ".join(cell.ljust(w) for cell, w in zip(row, width, strict=True)) for row in (head, *rows)]
-    say(options, "\n".join(text), {report.arm: report._asdict() for report in reports})
+    print_result(options, "\n".join(text), {report.arm: report._asdict() for report in reports})
     return 0 if all(report.wrong == report.none == 0 for report in reports) else 1
 
 
@@ -50,7 +47,7 @@ def run_doctor(options) -> int:
     for check in checks:
         mark = "ok  " if check["ok"] else "FAIL"
         lines.append(f"{mark} {check['what']}: {check['worst']:.2g}, allowed {check['allowed']:.2g}")
-    say(options, "\n".join(lines), data)
+    print_result(options, "\n".join(lines), data)
     return 0 if all(check["ok"] for check in checks) else 1
 
 
@@ -60,29 +57,29 @@ def _self_check(dtype: np.dtype) -> list[dict]:
 
     rng = np.random.default_rng(0)
     x, y = (rng.normal(size=10_000).astype(dtype) for _ in range(2))
-    far = (x * dtype.type(1e4)).astype(dtype)
-    exact = [v.astype(np.longdouble) for v in (x, y, far)]
+    angles = (x * dtype.type(1e4)).astype(dtype)
+    exact = [v.astype(np.longdouble) for v in (x, y, angles)]
     trig_allowed = 3e-7 if dtype == np.float32 else 6.7e-16
 
     def check(what: str, worst, allowed: float) -> dict:
         worst = float(worst)
         return {"what": f"{dtype} {what}", "worst": worst, "allowed": allowed, "ok": worst <= allowed}
 
-    sine, cosine = jax.jit(trig.sincos)(far)
+    sine, cosine = jax.jit(trig.sincos)(angles)
     angle = jax.jit(trig.atan2)(y, x)
     arm = ikjax.robots.get("puma560").astype(dtype)
     q = rng.uniform(-np.pi, np.pi, (1000, 6)).astype(dtype)
     sol = ikjax.solve(arm, ikjax.fk(arm, q))
-    reached, turned = ikjax.pose_error(ikjax.fk(arm, sol.q), ikjax.fk(arm, q)[:, None])
-    small = dtype == np.float32  # its poses near a singularity do not hold the joints any more
+    position_error, rotation_error = ikjax.pose_error(ikjax.fk(arm, sol.q), ikjax.fk(arm, q)[:, None])
+    small = dtype == np.float32  # near a singularity its poses no longer determine the joints
     tolerance = 2e-5 if small else 1e-9
-    off = np.maximum(np.asarray(reached) / 2, np.asarray(turned))
-    missed = np.abs(np.asarray(trig.wrap(sol.q - q[:, None]))).max(-1).min(-1)
+    pose_error = np.maximum(np.asarray(position_error) / 2, np.asarray(rotation_error))
+    joint_gap = np.abs(np.asarray(trig.wrap(sol.q - q[:, None]))).max(-1).min(-1)
     return [
         check("sin", np.abs(np.asarray(sine) - np.sin(exact[2])).max(), trig_allowed),
         check("cos", np.abs(np.asarray(cosine) - np.cos(exact[2])).max(), trig_allowed),
         check("atan2 [rad]", np.abs(np.asarray(angle) - np.arctan2(exact[1], exact[0])).max(), trig_allowed),
-        check("pose of every valid branch", np.where(sol.valid, off, 0).max(), tolerance * 2),
+        check("pose of every valid branch", np.where(sol.valid, pose_error, 0).max(), tolerance * 2),
         check("goals without a branch, share", (~np.asarray(sol.valid)).all(-1).mean(), 0.0),
-        check("generating joints not found, share", (missed > 1e-2).mean(), 0.01 if small else 0.0),
+        check("generating joints not found, share", (joint_gap > 1e-2).mean(), 0.01 if small else 0.0),
     ]

@@ -1,32 +1,29 @@
-"""One command from its words to its exit code.
-
-Outside the storeys.
-"""
+"""Run one command: from its arguments to its exit code."""
 
 import sys
 import warnings
 
 import jax
 
-from ikjax.cli.say import complain, in_flags
-from ikjax.cli.words import parser
+from ikjax.cli.output import print_error, with_flags
+from ikjax.cli.parser import build_parser
 
 
 def main(argv=None) -> int:
     """Run one command and return its exit code."""
     try:
-        options = parser().parse_args(argv)
-    except SystemExit as finished:  # after --help, --version, or a mistake that was explained
+        options = build_parser().parse_args(argv)
+    except SystemExit as finished:  # after --help, --version, or an error that was printed
         return int(finished.code or 0)
-    # A program's own choice, which the library never makes: float64 is there when asked for.
+    # The library never sets this; the command is a program of its own, and has float64 where it is asked for.
     jax.config.update("jax_enable_x64", True)
     try:
         with warnings.catch_warnings():
-            warnings.showwarning = lambda message, *_: complain(in_flags(options, str(message)))
+            warnings.showwarning = lambda message, *_: print_error(with_flags(options, str(message)))
             return options.run(options)
-    except BrokenPipeError:  # the reader, `head` say, has seen enough
+    except BrokenPipeError:  # the reader, such as `head`, has closed the pipe
         sys.stdout = None
         return 0
     except (ValueError, OSError, ImportError) as error:
-        complain(in_flags(options, str(error)))
+        print_error(with_flags(options, str(error)))
         return 2

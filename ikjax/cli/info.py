@@ -1,13 +1,10 @@
-"""`ikjax info` and `ikjax solve`: what an arm is, and every branch of one goal.
-
-Outside the storeys.
-"""
+"""`ikjax info` and `ikjax solve`: what an arm is, and every branch of one goal."""
 
 import numpy as np
 
 import ikjax
 from ikjax.cli import study_file
-from ikjax.cli.say import file_options, in_flags, say
+from ikjax.cli.output import file_options, print_result, with_flags
 
 
 def run_info(options) -> int:
@@ -15,26 +12,26 @@ def run_info(options) -> int:
         arms = [ikjax.robots.get(name) for name in ikjax.robots.names()]
         lines = [f"{arm.name:20} {arm.kinds:7} {arm.family}" for arm in arms]
         catalogue = {arm.name: {"kinds": arm.kinds, "family": arm.family} for arm in arms}
-        say(options, "\n".join(lines), catalogue)
+        print_result(options, "\n".join(lines), catalogue)
         return 0
     arm = study_file.find_arm(options.arm, **file_options(options))
     table = {key: np.asarray(getattr(arm, key)).tolist() for key in ("a", "alpha", "d", "theta")}
     limits = [[x if np.isfinite(x) else None for x in pair] for pair in np.asarray(arm.limits).tolist()]
     data = {"name": arm.name, "kinds": arm.kinds, "family": arm.family, "branches": arm.branches}
     poses = ikjax.robots.poses(options.arm) if options.arm in ikjax.robots.names() else {}
-    stands = {name: np.asarray(ikjax.fk(arm, q))[:3, 3].tolist() for name, q in poses.items()}
-    lines = [str(arm), "", in_flags(options, ikjax.explain(arm))]
-    if poses:  # a URDF file names none
+    flanges = {name: np.asarray(ikjax.fk(arm, q))[:3, 3].tolist() for name, q in poses.items()}
+    lines = [str(arm), "", with_flags(options, ikjax.explain(arm))]
+    if poses:  # a URDF file has none
         lines.append(f"Named poses ({len(poses)}):")
     for name, q in poses.items():
-        lines.append(f"  {name:18} flange at ({_row(stands[name])}) m, q = ({_row(q)})")
-    named = {name: {"q": q, "xyz": stands[name]} for name, q in poses.items()}
-    say(options, "\n".join(lines), {**data, **table, "limits": limits, "poses": named})
+        lines.append(f"  {name:18} flange at ({_in_decimals(flanges[name])}) m, q = ({_in_decimals(q)})")
+    named = {name: {"q": q, "xyz": flanges[name]} for name, q in poses.items()}
+    print_result(options, "\n".join(lines), {**data, **table, "limits": limits, "poses": named})
     return 0
 
 
-def _row(values) -> str:
-    """Numbers to four decimals, and no minus before a zero."""
+def _in_decimals(values) -> str:
+    """Numbers to four decimals, without a minus before a zero."""
     return ", ".join(f"{round(x, 4) + 0.0:g}" for x in values)
 
 
@@ -73,5 +70,5 @@ def run_solve(options) -> int:
         lines.append(
             f"{row['slot']:4}  {row['branch']:18} {marks}{joints} {1000 * row['margin']:12.1f}{note}"
         )
-    say(options, "\n".join(lines), {"arm": arm.name, "goal": goal.tolist(), "branches": rows})
+    print_result(options, "\n".join(lines), {"arm": arm.name, "goal": goal.tolist(), "branches": rows})
     return 0 if (within if options.limits else count) else 1

@@ -1,7 +1,4 @@
-"""`ikjax sweep`: a map is made, or gone on with.
-
-Outside the storeys.
-"""
+"""`ikjax sweep`: make a map, or continue one."""
 
 import dataclasses
 import math
@@ -11,7 +8,7 @@ import jax
 
 import ikjax
 from ikjax.cli import study_file
-from ikjax.cli.say import FILE_OPTIONS, complain, file_options
+from ikjax.cli.output import FILE_OPTIONS, file_options, print_error
 from ikjax.cli.show import check_places, report
 from ikjax.cli.stop import OTHERS_ENDED, Stop
 from ikjax.core.text import line
@@ -20,8 +17,8 @@ from ikjax.maps.store.storage import StorageError
 from ikjax.maps.sweep import SweepStoppedError
 
 
-def _study(options) -> study_file.Recipe:
-    """What is asked for, by a file or by options."""
+def _requested_study(options) -> study_file.Study:
+    """The study that a file or the options describe."""
     if options.arm.endswith(".toml"):
         for name in ("spacing", "orientations", "other_dtype", "certify", *FILE_OPTIONS):
             if getattr(options, name):
@@ -34,12 +31,12 @@ def _study(options) -> study_file.Recipe:
     orientations = 512 if options.orientations is None else options.orientations
     positions = ikjax.maps.around(arm, options.spacing or 0.05)
     dtype = "float64" if options.other_dtype else "float32"
-    kept = study_file.STATISTICS, None, dtype, options.certify
-    return study_file.Recipe(arm, positions, orientations, 1, *kept)
+    rest = study_file.STATISTICS, None, dtype, options.certify
+    return study_file.Study(arm, positions, orientations, 1, *rest)
 
 
-def _join(options) -> None:
-    """Become one of several processes, before jax computes anything."""
+def _join_processes(options) -> None:
+    """Join the other processes of --distributed, before jax computes anything."""
     explicit = (options.coordinator, options.processes, options.process)
     if not options.distributed:
         if any(given is not None for given in explicit):
@@ -56,36 +53,36 @@ def _join(options) -> None:
 
 
 def run_sweep(options) -> int:
-    _join(options)
-    study = _study(options)
+    _join_processes(options)
+    study = _requested_study(options)
     check_places(options)
     if (options.resume or options.force) and not options.out:
         flag = "--resume" if options.resume else "--force"
         raise ValueError(f"{flag} needs --out, the map to go on with or to replace")
     earlier = ikjax.ReachMap.load(options.compare) if options.compare else None
-    # Read now: the earlier map may be the one that is replaced.
+    # Read into memory now: the earlier map may be the one that is replaced.
     earlier = earlier and dataclasses.replace(earlier, arrays=earlier.to_numpy())
     positions = math.prod(study.positions.shape)
     if positions >= 2**31:
         raise ValueError(f"--spacing asks for {positions:.2g} positions, 2^31 or more")
-    leads = jax.process_index() == 0
-    if leads and not options.json:
+    is_first = jax.process_index() == 0
+    if is_first and not options.json:
         count = as_orientations(study.orientations).count
         print(line(f"sweeping {study.arm.name}: {positions * count:,} goals"), file=sys.stderr)
     with Stop(options.max_hours) as stop:
         try:
-            reach = ikjax.sweep(
+            reach_map = ikjax.sweep(
                 **study._asdict(),
                 out=options.out,
                 resume=options.resume,
                 force=options.force,
-                progress=leads and not options.json,
+                progress=is_first and not options.json,
                 stop=stop,
             )
         except SweepStoppedError as stopped:
-            complain(stopped)
+            print_error(stopped)
             return stop.code or OTHERS_ENDED
         except StorageError as error:
-            complain(error)
+            print_error(error)
             return 3
-    return report(options, reach, earlier, options.compare) if leads else 0
+    return report(options, reach_map, earlier, options.compare) if is_first else 0

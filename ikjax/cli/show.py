@@ -1,7 +1,4 @@
-"""`ikjax show`, and what a sweep says at its end: a map in words, as a picture, on a page, in a viewer.
-
-Outside the storeys.
-"""
+"""`ikjax show`, and the report of a sweep: a map as a summary, a picture, a page, or in a viewer."""
 
 import pathlib
 import re
@@ -9,13 +6,13 @@ import urllib.parse
 from typing import Any
 
 import ikjax
-from ikjax.cli.say import complain, say
+from ikjax.cli.output import print_error, print_result
 from ikjax.maps import reach_map
-from ikjax.maps.store.storage import Place
+from ikjax.maps.store.storage import Storage
 
 
 def run_show(options) -> int:
-    """Without --picture, --json or --viewer, the page and the picture lie beside where one works."""
+    """Without --picture, --json or --viewer, the page and the picture are written to the working folder."""
     check_places(options)
     maps = [ikjax.ReachMap.load(name) for name in (options.map, options.other) if name]
     if options.viewer:
@@ -37,19 +34,19 @@ def run_show(options) -> int:
 
 
 def _stem(name: str) -> str:
-    """map for here/map.zarr: what files of a map are called, in the folder where one works."""
+    """The name of a map's files in the working folder: map for here/map.zarr."""
     last = pathlib.PurePosixPath(urllib.parse.urlsplit(str(name).rstrip("/")).path).name
     return re.sub(r"[^\w.-]", "_", last.removesuffix(".zarr")) or "map"
 
 
 def check_places(options) -> None:
-    """Raise now what a sweep would find out at its end: nothing to draw with, nowhere to write."""
+    """Raise now what a sweep would raise only at its end: nothing to draw with, nowhere to write."""
     out = getattr(options, "out", None)
     for file in (options.picture, getattr(options, "page", None)):
         if file:
             pathlib.Path(file).absolute().parent.mkdir(parents=True, exist_ok=True)
     if out:
-        Place(out)
+        Storage(out)
     if options.picture:
         from ikjax import plot
 
@@ -66,6 +63,19 @@ def report(
     page: str | None = None,
     asked: bool = True,
 ) -> int:
+    """Print a map, and draw what the options ask for.
+
+    Args:
+        options: Of the command.
+        reach: The map.
+        earlier: Another map to compare with.
+        earlier_name: Its name, for the text.
+        page: Where to write the page.
+        asked: Whether the pictures were asked for: only then is it an error if they cannot be drawn.
+
+    Returns:
+        The exit code: 0 if any goal is reached, else 1.
+    """
     text = reach.summary()
     data: dict[str, Any] = {"arm": reach.arm.name, **reach.numbers()}
     if reach.units is not None:
@@ -73,20 +83,20 @@ def report(
         data["units"] = reach.units._asdict()
     if options.picture or page:
         try:
-            text += _drawn(options, reach, earlier, page)
+            text += _draw(options, reach, earlier, page)
         except ImportError as error:
             if asked:
                 raise
-            complain(error)  # what is shown unasked may be left out
+            print_error(error)  # pictures that were not asked for may be left out
     if earlier is not None:
         data["compared"] = reach_map.compare(earlier, reach)
         text += f"\n{reach_map.in_words(data['compared'], str(earlier_name))}"
-    say(options, text, data)
+    print_result(options, text, data)
     return 0 if data.get("positions_reachable", data.get("goals_reachable", 1)) > 0 else 1
 
 
-def _drawn(options, reach: ikjax.ReachMap, earlier: ikjax.ReachMap | None, page: str | None) -> str:
-    """Write what was asked for and say where it is."""
+def _draw(options, reach: ikjax.ReachMap, earlier: ikjax.ReachMap | None, page: str | None) -> str:
+    """Write the picture and the page; lines that say where they are."""
     from ikjax import plot
 
     text = ""

@@ -1,7 +1,7 @@
-"""Why a sweep should stop: a signal, or the time that was given it.
+"""Why a sweep should stop: a signal, or the end of its time.
 
-A signal is only noted, and the sweep asks; what it has begun to write it finishes. The second
-signal of a kind ends the process as it would any other, which a stored map survives too.
+A signal is only recorded, and the sweep asks for it; a write that has begun is finished.
+The second signal of a kind ends the process at once, as it would any other; a stored map survives that too.
 """
 
 import signal
@@ -9,17 +9,17 @@ import threading
 import time
 
 TIME_IS_UP = 4
-"""Exit code of a sweep that ran as long as it was given."""
+"""Exit code of a sweep whose time is over."""
 
 OTHERS_ENDED = 5
 """Exit code of a sweep of which another process ended before its units were done."""
 
 
 class Stop:
-    """A block that notes SIGINT and SIGTERM; call it to ask for a reason to stop.
+    """A context that records SIGINT and SIGTERM; call it to ask for a reason to stop.
 
     Args:
-        hours: To run; None for as long as it takes.
+        hours: Time to run; None for no limit.
     """
 
     def __init__(self, hours: float | None = None):
@@ -31,10 +31,10 @@ class Stop:
         self._before: dict[int, object] = {}
 
     def __enter__(self) -> "Stop":
-        # Python allows handlers in the main thread alone.
+        # Python allows signal handlers in the main thread only.
         if threading.current_thread() is threading.main_thread():
             for number in (signal.SIGINT, signal.SIGTERM):
-                self._before[number] = signal.signal(number, self._note)
+                self._before[number] = signal.signal(number, self._record)
         return self
 
     def __exit__(self, *_) -> None:
@@ -42,7 +42,7 @@ class Stop:
             signal.signal(number, handler)  # type: ignore[arg-type]
 
     def __call__(self, unit_ended: bool) -> str | None:
-        """The reason, or None. Time is only up where a unit ends."""
+        """The reason, or None. The time is checked only at the end of a unit."""
         if self._caught is not None:
             self.code = 128 + self._caught
             return signal.Signals(self._caught).name
@@ -51,6 +51,6 @@ class Stop:
             return f"{self.hours:g} hours are over"
         return None
 
-    def _note(self, number: int, _) -> None:
+    def _record(self, number: int, _) -> None:
         self._caught = number
         signal.signal(number, signal.SIG_DFL)

@@ -1,16 +1,15 @@
-"""A study as a TOML file: which arm, where, in which orientations, and what to keep.
+"""A study as a TOML file: which arm, where, in which orientations, and which statistics.
 
-A file is data: what it does not know it refuses, and a path in it is read from the file's
-own folder.
+A file is data: unknown keys are refused, and a path in it starts from the file's own folder.
 
     arm = "puma560"                 # of the catalogue, or a URDF file, and for a file
     base = "base_link"              # the link it starts from, by default the root
     tip = "tool0"                   # the link it ends at, by default the one leaf
-    axis_tolerance = 1e-3                # see `Arm.from_urdf`
+    axis_tolerance = 1e-3           # see `Arm.from_urdf`
     spacing = 0.03                  # [m]
     orientations = 512              # even ones; or { wxyz = [[1, 0, 0, 0], ...] } or { hopf = 2 } or
                                     # { cone = { direction = [0, 0, -1], half_angle = 0.5, directions = 64 } }
-    free_rolls = 8                     # turns about the tool of which one must do; 1 by default
+    free_rolls = 8                  # turns about the tool of which one must do; 1 by default
     bounds = [[-1, -1, 0], [1, 1, 1]]          # corners [m]; by default all that is within reach
     shell = { center = [0, 0, 0], radii = [0.5, 0.7], directions = 500 }       # in place of spacing
     surface = { file = "part.stl", scale = 0.001, spacing = 0.01 }             # or "points.csv"; likewise
@@ -18,7 +17,7 @@ own folder.
     statistics = ["reachable", ...] # see `statistics`
     chunk = [32, 32, 32]            # positions of a work unit
     dtype = "float32"               # or "float64"
-    certify = true                  # goals that float32 is not sure of again in float64; false by default
+    certify = true                  # goals uncertain in float32 again in float64; false by default
 """
 
 import dataclasses
@@ -40,29 +39,18 @@ from ikjax.maps.statistics import USUAL as STATISTICS
 from ikjax.maps.statistics import available
 
 KEYS = (
-    *(
-        "arm",
-        "base",
-        "tip",
-        "axis_tolerance",
-        "spacing",
-        "orientations",
-        "free_rolls",
-        "bounds",
-        "shell",
-        "surface",
-    ),
-    *("limits", "statistics", "chunk", "dtype", "certify"),
+    *("arm", "base", "tip", "axis_tolerance", "spacing", "orientations", "free_rolls", "bounds", "shell"),
+    *("surface", "limits", "statistics", "chunk", "dtype", "certify"),
 )
 RENAMED = {"tolerance": "axis_tolerance", "rolls": "free_rolls"}
 """Keys of older files, and what they are called now."""
 
-LARGEST = 2**24
-"""Bytes of a file."""
+MOST_BYTES = 2**24
+"""Largest file that is read."""
 
 
-class Recipe(NamedTuple):
-    """Arguments of a sweep."""
+class Study(NamedTuple):
+    """A study: the arguments of `ikjax.sweep`."""
 
     arm: Arm
     positions: Grid | Shell | Surface
@@ -74,7 +62,7 @@ class Recipe(NamedTuple):
     certify: bool = False
 
 
-def read(path) -> Recipe:
+def read(path) -> Study:
     """The study in a file.
 
     Raises:
@@ -83,14 +71,14 @@ def read(path) -> Recipe:
         OSError: No such file.
     """
     path = pathlib.Path(path)
-    if path.stat().st_size > LARGEST:
-        raise ValueError(f"{path}: more than {LARGEST} bytes are no study")
+    if path.stat().st_size > MOST_BYTES:
+        raise ValueError(f"{path}: more than {MOST_BYTES} bytes are no study")
     try:
-        said = tomllib.loads(path.read_bytes().decode())
+        entries = tomllib.loads(path.read_bytes().decode())
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{path}: no TOML: {error}") from error
     try:
-        return _understood(said, path.parent)
+        return _parsed(entries, path.parent)
     except (ValueError, TypeError, OverflowError) as error:
         raise ValueError(f"{path}: {error}") from error
 
@@ -105,15 +93,15 @@ def find_arm(
 ) -> Arm:
     """An arm of the catalogue, or of a URDF file.
 
-    What is not in the catalogue and exists as a file, or ends in .urdf or .xml, is a file's name.
+    A name that is not in the catalogue is a file's name if the file exists or the name ends in .urdf or .xml.
 
     Args:
-        name: Of the arm or the file.
-        folder: Where the file's name counts from.
+        name: Of the arm, or the path of the file.
+        folder: Where a relative path starts.
         base, tip, axis_tolerance: As in `Arm.from_urdf`.
 
     Raises:
-        ValueError: Neither a file nor a name of the catalogue, or an option of files for the latter.
+        ValueError: Neither a file nor a name of the catalogue; an option of files given with such a name.
         OSError: The file cannot be read.
     """
     options: dict[str, Any] = {"base": base, "tip": tip, "axis_tolerance": axis_tolerance}
@@ -130,92 +118,92 @@ def find_arm(
         raise ValueError(f"no such file, and {error}") from None
 
 
-def _understood(said: dict, folder: pathlib.Path) -> Recipe:
-    for key in said:
+def _parsed(entries: dict, folder: pathlib.Path) -> Study:
+    for key in entries:
         if key in RENAMED:
             raise ValueError(f"{key!r} is called {RENAMED[key]!r} now")
         if key not in KEYS:
             raise ValueError(f"no key {key!r}; the keys are {', '.join(KEYS)}")
     for key in ("arm", "orientations"):
-        if key not in said:
+        if key not in entries:
             raise ValueError(f"{key} is missing")
-    if not isinstance(said["arm"], str):
-        raise ValueError(f'arm must be a name or a file, as in "puma560", got {said["arm"]!r}')
+    if not isinstance(entries["arm"], str):
+        raise ValueError(f'arm must be a name or a file, as in "puma560", got {entries["arm"]!r}')
     for key, kind in {"base": _is_text, "tip": _is_text, "axis_tolerance": _is_number}.items():
-        if key in said and not kind(said[key]):
-            raise ValueError(f"{key} is of the wrong kind: {said[key]!r}")
-    ends = {key: said.get(key) for key in ("base", "tip", "axis_tolerance")}
-    arm = _limited(find_arm(said["arm"], folder, **ends), said.get("limits"))
-    positions = _positions(said, arm, folder)
-    statistics, known = said.get("statistics", list(STATISTICS)), available()
+        if key in entries and not kind(entries[key]):
+            raise ValueError(f"{key} is of the wrong kind: {entries[key]!r}")
+    ends = {key: entries.get(key) for key in ("base", "tip", "axis_tolerance")}
+    arm = _with_limits(find_arm(entries["arm"], folder, **ends), entries.get("limits"))
+    positions = _positions(entries, arm, folder)
+    statistics, known = entries.get("statistics", list(STATISTICS)), available()
     if not isinstance(statistics, list) or not all(name in known for name in statistics) or not statistics:
         raise ValueError(f"statistics must be a list of {', '.join(known)}, got {statistics!r}")
-    free_rolls = said.get("free_rolls", 1)
+    free_rolls = entries.get("free_rolls", 1)
     if not _is_count(free_rolls):
         raise ValueError(f"free_rolls must be a whole number above zero, got {free_rolls!r}")
-    dtype = said.get("dtype", "float32")
+    dtype = entries.get("dtype", "float32")
     if dtype not in ("float32", "float64"):
         raise ValueError(f'dtype must be "float32" or "float64", got {dtype!r}')
-    certify = said.get("certify", False)
+    certify = entries.get("certify", False)
     if not isinstance(certify, bool) or (certify and dtype != "float32"):
         raise ValueError(
             f"certify must be true or false, and with float32 only, got {certify!r} with {dtype}"
         )
-    chunk = said.get("chunk")
+    chunk = entries.get("chunk")
     axes = len(positions.shape)
     if chunk is not None and not (
         isinstance(chunk, list) and len(chunk) == axes and all(map(_is_count, chunk))
     ):
         raise ValueError(f"chunk must be {axes} whole numbers above zero, got {chunk!r}")
     chunk = None if chunk is None else tuple(chunk)
-    turns = _orientations(said["orientations"])
-    return Recipe(arm, positions, turns, free_rolls, tuple(statistics), chunk, dtype, certify)
+    turns = _orientations(entries["orientations"])
+    return Study(arm, positions, turns, free_rolls, tuple(statistics), chunk, dtype, certify)
 
 
-def _positions(said: dict, arm: Arm, folder: pathlib.Path) -> Grid | Shell | Surface:
-    given = [key for key in ("spacing", "shell", "surface") if key in said]
+def _positions(entries: dict, arm: Arm, folder: pathlib.Path) -> Grid | Shell | Surface:
+    given = [key for key in ("spacing", "shell", "surface") if key in entries]
     if len(given) != 1:
         raise ValueError(f"one of spacing, shell and surface is wanted, got {', '.join(given) or 'none'}")
-    if "bounds" in said and given != ["spacing"]:
+    if "bounds" in entries and given != ["spacing"]:
         raise ValueError(f"bounds go with spacing, not with {given[0]}")
     if given == ["shell"]:
         kinds = {"center": (3,), "radii": None, "directions": _is_count}
-        table = _table("shell", said["shell"], kinds, needs=("center", "radii", "directions"))
+        table = _table("shell", entries["shell"], kinds, needs=("center", "radii", "directions"))
         return shell(table["center"], table["radii"], table["directions"])
     if given == ["surface"]:
         kinds = {"file": _is_text, "scale": _is_number, "spacing": _is_number}
-        table = _table("surface", said["surface"], kinds, needs=("file",))
+        table = _table("surface", entries["surface"], kinds, needs=("file",))
         return surface(folder / table.pop("file"), **table)
-    spacing = said["spacing"]
+    spacing = entries["spacing"]
     if not _is_number(spacing):
         raise ValueError(f"spacing must be a number of metres, got {spacing!r}")
-    if "bounds" not in said:
+    if "bounds" not in entries:
         return around(arm, spacing)
-    lower, upper = _numbers("bounds", said["bounds"], (2, 3))
+    lower, upper = _numbers("bounds", entries["bounds"], (2, 3))
     return grid(lower, upper, spacing)
 
 
-def _table(name: str, said, kinds: dict[str, Any], needs: tuple[str, ...]) -> dict[str, Any]:
-    """A table's entries; a kind is what tells a good value, or the shape of an array, None for any."""
+def _table(name: str, entries, kinds: dict[str, Any], needs: tuple[str, ...]) -> dict[str, Any]:
+    """A table's entries, checked: a kind is a test of a value, or an array's shape, None for any."""
     for old, new in (("centre", "center"), ("rolls", "turns")):
-        if isinstance(said, dict) and old in said and new in kinds:
+        if isinstance(entries, dict) and old in entries and new in kinds:
             raise ValueError(f"{name}.{old} is called {name}.{new} now")
-    if not isinstance(said, dict) or not set(needs) <= said.keys() <= kinds.keys():
-        raise ValueError(f"{name} must have the keys {', '.join(kinds)}, got {said!r}")
-    found = {}
-    for key, value in said.items():
+    if not isinstance(entries, dict) or not set(needs) <= entries.keys() <= kinds.keys():
+        raise ValueError(f"{name} must have the keys {', '.join(kinds)}, got {entries!r}")
+    checked = {}
+    for key, value in entries.items():
         kind = kinds[key]
         if callable(kind):
             if not kind(value):
                 raise ValueError(f"{name}.{key} is of the wrong kind: {value!r}")
-            found[key] = value
+            checked[key] = value
         else:
             shape = (len(value) if isinstance(value, list) else 1,) if kind is None else kind
-            found[key] = _numbers(f"{name}.{key}", value, shape)
-    return found
+            checked[key] = _numbers(f"{name}.{key}", value, shape)
+    return checked
 
 
-def _limited(arm: Arm, limits) -> Arm:
+def _with_limits(arm: Arm, limits) -> Arm:
     if limits is None:
         return arm
     if limits is False:
@@ -225,21 +213,21 @@ def _limited(arm: Arm, limits) -> Arm:
     return dataclasses.replace(arm, limits=dh.check_limits(limits, arm.kinds))
 
 
-def _orientations(said) -> Any:
-    if _is_count(said):
-        return said
-    if isinstance(said, dict) and list(said) == ["wxyz"]:
-        rows = said["wxyz"]
+def _orientations(entries) -> Any:
+    if _is_count(entries):
+        return entries
+    if isinstance(entries, dict) and list(entries) == ["wxyz"]:
+        rows = entries["wxyz"]
         wxyz = _numbers("orientations.wxyz", rows, (len(rows) if isinstance(rows, list) else 1, 4))
         return np.asarray(pose(np.zeros((len(wxyz), 3)), wxyz=wxyz))[:, :3, :3]
-    if isinstance(said, dict) and list(said) == ["hopf"]:
-        return hopf(said["hopf"])
-    if isinstance(said, dict) and list(said) == ["cone"]:
+    if isinstance(entries, dict) and list(entries) == ["hopf"]:
+        return hopf(entries["hopf"])
+    if isinstance(entries, dict) and list(entries) == ["cone"]:
         kinds = {"direction": (3,), "half_angle": _is_number, "directions": _is_count, "turns": _is_count}
-        return cone(**_table("orientations.cone", said["cone"], kinds, needs=tuple(kinds)[:3]))
+        return cone(**_table("orientations.cone", entries["cone"], kinds, needs=tuple(kinds)[:3]))
     raise ValueError(
         f"orientations must be a whole number above zero or a table such as {{ wxyz = [[1, 0, 0, 0]] }}, "
-        f"{{ hopf = 2 }} or {{ cone = {{ ... }} }}, got {said!r}"
+        f"{{ hopf = 2 }} or {{ cone = {{ ... }} }}, got {entries!r}"
     )
 
 

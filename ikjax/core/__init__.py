@@ -1,1 +1,1 @@
-"""Numbers, rigid bodies, small linear algebra, tolerances, and what XLA needs to be told. Knows no robot."""
+"""Numbers, rigid bodies, small linear algebra, tolerances, and workarounds for XLA. Knows no robot."""

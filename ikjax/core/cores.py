@@ -1,5 +1,7 @@
-"""How many cores this process may use, which is often fewer than the machine has.
+"""How many CPU cores this process may use, which is often fewer than the machine has.
 
+`usable` is what eager calls choose their number of threads by, and what benchmarks report. In containers and
+on clusters the limit is a quota of the process's cgroup, which `os.cpu_count` does not know.
 
 Source: Linux, Documentation/admin-guide/cgroup-v2.rst, "cpu.max"; scheduler/sched-bwc.rst for version 1.
 """
@@ -12,23 +14,23 @@ _ROOT = pathlib.Path("/")
 
 
 def usable(root: pathlib.Path = _ROOT) -> int:
-    """Cores that this process may run on, at least 1: by its affinity and by the quotas of its cgroups.
+    """CPU cores that this process may run on, at least 1: by its affinity and by the quotas of its cgroups.
 
-    A quota of one and a half cores is two: the rest of a thread's time is lost, but not of the core.
+    A quota is rounded up, one and a half cores to two: a second thread uses the half.
 
     Args:
-        root: Where `proc` and `sys` lie.
+        root: The folder that holds `proc` and `sys`.
     """
-    there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return max(1, math.ceil(min(there, _quota(root))))
+    allowed = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, math.ceil(min(allowed, _quota(root))))
 
 
 def _quota(root: pathlib.Path) -> float:
-    """The least number of cores that a cgroup of this process, or one above it, grants; inf without any."""
+    """The least quota, in cores, of the cgroups of this process and all above them; inf without any."""
     try:
         rows = [row.split(":", 2) for row in (root / "proc/self/cgroup").read_text().splitlines()]
     except OSError:
-        return math.inf  # no Linux
+        return math.inf  # not Linux
     least = math.inf
     for _, controllers, own in (row for row in rows if len(row) == 3):
         if controllers and "cpu" not in controllers.split(","):
@@ -46,7 +48,7 @@ def _quota(root: pathlib.Path) -> float:
 
 
 def _granted(folder: pathlib.Path) -> float:
-    """Cores that one cgroup grants."""
+    """The quota of one cgroup, in cores; inf without one."""
     for names in (("cpu.max",), ("cpu.cfs_quota_us", "cpu.cfs_period_us")):
         try:
             words = " ".join((folder / name).read_text() for name in names).split()

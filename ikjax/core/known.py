@@ -1,8 +1,9 @@
-"""What is known while a program is traced stays known.
+"""Functions that keep a concrete value concrete while an outer function is traced.
 
-Inside a jit every `jnp` call returns a tracer, also of numbers that are concrete: `asarray`,
-`astype`, indexing, `stop_gradient`. A kernel that is handed such a number can no longer fold it in, and
-is many times slower. Numbers that may be known pass through these functions instead.
+Inside a jit every `jnp` call returns a tracer, also of concrete numbers: `asarray`, `astype`, indexing,
+`stop_gradient`. A kernel cannot take such a number in as a constant and is many times slower. A number that
+may be known passes through these functions instead. "Known" means concrete: its value can be read while
+tracing.
 """
 
 from typing import Any, TypeVar
@@ -20,7 +21,7 @@ def is_traced(tree: Any) -> bool:
 
 
 def as_array(x: Any, dtype: Any) -> Any:
-    """x as an array of a type: a tracer only if x is one, numpy's if x is, else a jax array."""
+    """x as an array of a type: a tracer only if x is one, a numpy array if x is one, else a jax array."""
     if isinstance(x, jax.core.Tracer):
         return jnp.asarray(x, dtype)
     if isinstance(x, np.ndarray | jax.Array) and x.dtype == dtype:
@@ -33,10 +34,10 @@ def as_array(x: Any, dtype: Any) -> Any:
 
 
 def constants(tree: Tree) -> Tree:
-    """The tree with numpy arrays for all leaves whose values are known: constants of a kernel."""
+    """The tree with numpy arrays for all concrete leaves: the constants of a kernel. Tracers stay."""
     return jax.tree.map(lambda x: x if isinstance(x, jax.core.Tracer) else np.asarray(x), tree)
 
 
 def stop_gradient(tree: Tree) -> Tree:
-    """The tree without derivatives; leaves whose values are known have none and are handed on as they are."""
+    """The tree without derivatives; concrete leaves have none and are returned as they are."""
     return jax.tree.map(lambda x: jax.lax.stop_gradient(x) if isinstance(x, jax.core.Tracer) else x, tree)

@@ -1,4 +1,4 @@
-"""Rigid poses: in scalars inside kernels, as (..., 4, 4) arrays at the door.
+"""Rigid poses: in scalars inside kernels, as (..., 4, 4) arrays in the public functions.
 
 `T_a_b` maps coordinates in frame b to coordinates in frame a, so that neighbors
 cancel when read: T_base_tool = T_base_elbow @ T_elbow_tool.
@@ -10,10 +10,12 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 
 from ikjax.core import safe, vector
 from ikjax.core.tolerances import FARTHEST_GOAL, LARGEST_ENTRY, NEARLY_ROTATION, ROTATION
 from ikjax.core.trig import Scalar, atan2, sincos
+from ikjax.core.typing import ArrayInput
 from ikjax.core.vector import Matrix, Vector
 from ikjax.core.warn import warn_of_degrees
 from ikjax.core.xla import pin
@@ -43,8 +45,8 @@ def inverse(pose: Pose) -> Pose:
     return Pose(back, vector.scale(-1, vector.rotate(back, pose.position)))
 
 
-def from_matrix(matrix) -> Pose:
-    """The scalars of a (..., 4, 4) array, each of shape (...). The bottom row is not looked at."""
+def from_matrix(matrix: jax.Array | np.ndarray) -> Pose:
+    """The scalars of a (..., 4, 4) array, each of shape (...). The bottom row is not read."""
     rows = tuple(tuple(matrix[..., i, j] for j in range(3)) for i in range(3))
     return Pose(rows, tuple(matrix[..., i, 3] for i in range(3)))
 
@@ -59,8 +61,8 @@ def to_matrix(pose: Pose) -> jax.Array:
     return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def rigid(matrix) -> jax.Array:
-    """A pose (..., 4, 4) whose rotation was rounded, with a rotation again."""
+def rigid(matrix: jax.Array | np.ndarray) -> jax.Array:
+    """A pose (..., 4, 4) whose rotation was rounded, with an orthonormal rotation again."""
     pose = from_matrix(matrix)
     return to_matrix(Pose(vector.orthonormal(pose.rotation), pose.position))
 
@@ -68,36 +70,48 @@ def rigid(matrix) -> jax.Array:
 def difference(first: Pose, second: Pose) -> tuple[Scalar, Scalar]:
     """Distance [m] and angle [rad] between two poses, in scalars.
 
-    The angle is right to rounding everywhere, at zero and at pi too; both slopes are finite.
+    The angle is accurate to rounding everywhere, at zero and at pi too; both gradients are finite.
+
     Source: angle = atan2(|vee(M)|, (trace(M) - 1) / 2) with M = A^T B.
     """
-    turn = vector.matmul(vector.transpose(first.rotation), second.rotation)
-    vee = (turn[2][1] - turn[1][2], turn[0][2] - turn[2][0], turn[1][0] - turn[0][1])
-    trace = turn[0][0] + turn[1][1] + turn[2][2]
+    m = vector.matmul(vector.transpose(first.rotation), second.rotation)
+    vee = (m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1])
+    trace = m[0][0] + m[1][1] + m[2][2]
     gap = vector.norm(vector.subtract(first.position, second.position))
     return gap, atan2(vector.norm(vee) / 2, (trace - 1) / 2)
 
 
-def pose_error(first, second) -> tuple[jax.Array, jax.Array]:
+def pose_error(first: ArrayInput, second: ArrayInput) -> tuple[jax.Array, jax.Array]:
     """Distance [m] and angle [rad] between poses.
 
+    Both have a finite gradient everywhere, also where the poses are equal and where the angle is pi.
+
     Args:
-        first, second: (..., 4, 4), of shapes that broadcast.
+        first, second: (..., 4, 4), of shapes that broadcast. They are not checked to be rigid, and the bottom
+            rows are not read.
 
     Returns:
-        Two arrays (...). The angle lies in [0, pi] and is right to rounding at both ends.
+        The distance between the origins and the angle of the rotation between the frames, (...) each. The
+        angle lies in [0, pi] and is accurate to rounding at both ends.
+
+    Source: angle = atan2(|vee(M)|, (trace(M) - 1) / 2) with M = A^T B.
     """
     first, second = jnp.broadcast_arrays(jnp.asarray(first), jnp.asarray(second))
     return difference(from_matrix(first), from_matrix(second))
 
 
-def _floating(*values):
-    """The floating type that values give; whole numbers have no say."""
+def _floating(*values: ArrayInput) -> np.dtype:
+    """The floating type that values promote to; integers do not count."""
     arrays = map(jnp.asarray, values)
     return jnp.result_type(float, *(x for x in arrays if jnp.issubdtype(x.dtype, jnp.inexact)))
 
 
-def _components(name: str, value, count: int, dtype) -> tuple[jax.Array, ...]:
+def _components(name: str, value: ArrayInput, count: int, dtype: DTypeLike) -> tuple[jax.Array, ...]:
+    """The entries of the last axis, which has so many.
+
+    Raises:
+        ValueError: It has another number.
+    """
     value = jnp.asarray(value, dtype)
     if value.ndim == 0 or value.shape[-1] != count:
         raise ValueError(f"{name} must have shape (..., {count}), got {value.shape}")
@@ -114,7 +128,7 @@ def _from_rpy(rpy: Vector) -> Matrix:
 
 
 def from_quaternion(wxyz: tuple[Scalar, ...]) -> Matrix:
-    """The rotation of a quaternion (w, x, y, z); its length does not matter, zero gives zeros."""
+    """The rotation of a quaternion (w, x, y, z); its length does not matter, and zero gives the identity."""
     w, x, y, z = wxyz
     s = safe.divide(2, w * w + x * x + y * y + z * z)
     return (
@@ -141,8 +155,11 @@ def to_quaternion(m: Matrix) -> tuple[Scalar, ...]:
     return tuple(per * c for c in best)
 
 
-class Turn(NamedTuple):
-    """A rotation as a vector, and what its slopes are made of."""
+class RotationVector(NamedTuple):
+    """A rotation vector r, and the coefficients of the inverse left Jacobian of the rotation group.
+
+    The inverse is shrink I - [r]x / 2 + bend r r^T.
+    """
 
     vector: Vector
     """Along the axis, as long as the angle in [0, pi] [rad]."""
@@ -152,39 +169,41 @@ class Turn(NamedTuple):
     """(1 - shrink) / angle^2."""
 
     def rate(self, spin: Vector) -> Vector:
-        """Of the vector, while the rotation is turned on from the left at an angular velocity."""
-        ahead = vector.scale(self.bend * vector.dot(self.vector, spin), self.vector)
-        aside = vector.scale(-0.5, vector.cross(self.vector, spin))
-        return vector.add(vector.scale(self.shrink, spin), vector.add(ahead, aside))
+        """The derivative of the vector while the rotation turns at an angular velocity in the fixed frame."""
+        along = vector.scale(self.bend * vector.dot(self.vector, spin), self.vector)
+        across = vector.scale(-0.5, vector.cross(self.vector, spin))
+        return vector.add(vector.scale(self.shrink, spin), vector.add(along, across))
 
 
-def turn_of(m: Matrix) -> Turn:
-    """The rotation as a vector, right to rounding at every angle; its slopes have their limits at zero.
+def rotation_vector(m: Matrix) -> RotationVector:
+    """The rotation vector of a matrix, accurate to rounding at every angle.
 
+    Near zero its derivatives are the limits there.
 
     Source: the logarithm of a rotation; Sola et al., A micro Lie theory (2018), (144)-(145).
     """
     w, x, y, z = map(pin, to_quaternion(m))
+    # Of the two quaternions of a rotation the one with w >= 0 has the angle in [0, pi].
     side = safe.sign(w)
     w, rest = side * w, (side * x, side * y, side * z)
     square = pin(vector.dot(rest, rest))
-    # Where half the angle is so small, the first terms of its series are exact.
+    # Below it the first terms of each series are accurate to rounding.
     small = square < jnp.finfo(square.dtype).eps
     size = safe.sqrt(jnp.where(small, 1, square))
     half = pin(atan2(size, jnp.where(small, 1, w)))
     factor = pin(jnp.where(small, 2 + square / 3, 2 * half / size))
     shrink = pin(jnp.where(small, 1 - square / 3, half * w / size))
     bend = pin(jnp.where(small, 1 / 12, (1 - shrink) / (4 * half * half)))
-    return Turn(tuple(pin(factor * c) for c in rest), shrink, bend)
+    return RotationVector(tuple(pin(factor * c) for c in rest), shrink, bend)
 
 
 def from_rotation_vector(v: Vector) -> Matrix:
-    """The rotation about a vector by its length [rad]; its derivatives have their limits at zero.
+    """The rotation about a vector by its length [rad]; near zero its derivatives are the limits there.
 
     Source: the exponential of a rotation; Sola et al., A micro Lie theory (2018), (132)-(133).
     """
     square = vector.dot(v, v)
-    # Where the angle is so small, the first terms of its series are exact.
+    # Below it the first terms of each series are accurate to rounding.
     small = square < jnp.finfo(square.dtype).eps
     angle = safe.sqrt(jnp.where(small, 1, square))
     sine, cosine = sincos(angle / 2)
@@ -193,9 +212,20 @@ def from_rotation_vector(v: Vector) -> Matrix:
 
 
 def pose(
-    xyz=None, *, rpy=None, wxyz=None, xyzw=None, rotvec=None, matrix=None, orthonormalize=False, dtype=None
+    xyz: ArrayInput | None = None,
+    *,
+    rpy: ArrayInput | None = None,
+    wxyz: ArrayInput | None = None,
+    xyzw: ArrayInput | None = None,
+    rotvec: ArrayInput | None = None,
+    matrix: ArrayInput | None = None,
+    orthonormalize: bool = False,
+    dtype: DTypeLike | None = None,
 ) -> jax.Array:
     """A pose as (..., 4, 4), from a position and at most one form of orientation.
+
+    Position and orientation must have the same leading shape, or broadcast. Without an orientation the
+    rotation is the identity.
 
     Args:
         xyz: Position [m], (..., 3); by default that of a (..., 4, 4) `matrix`, else zero.
@@ -207,17 +237,24 @@ def pose(
         matrix: Rotation, (..., 3, 3), or whole pose, (..., 4, 4); taken as it is.
         orthonormalize: Replace the rotation of `matrix`, which may be off by 1e-2 (the norm of
             R^T R - I), by the nearest one. What is traced and off by more is left as it is: `solve` masks it.
-        dtype: Of the result; by default what the inputs give.
+        dtype: Of the result; by default the floating type of the inputs.
+
+    Returns:
+        The pose, (..., 4, 4). The length of a quaternion is divided out, and one of zeros, which only a
+        traced one can be, gives the identity.
 
     Raises:
         ValueError: Wrong shapes, more than one orientation or position, a quaternion of length far
             from 1, a bottom row other than (0, 0, 0, 1), a matrix too far from a rotation to orthonormalize.
 
     Warns:
-        Where an angle is beyond a turn, as degrees are.
+        Where an angle is beyond a whole turn, as degrees are.
+
+    Source: Craig, Introduction to Robotics, 3rd ed., section 2.8; of `rotvec`, Sola et al., A micro Lie
+    theory (2018), (132)-(133).
     """
-    given = {"rpy": rpy, "wxyz": wxyz, "xyzw": xyzw, "rotvec": rotvec, "matrix": matrix}
-    given = {name: value for name, value in given.items() if value is not None}
+    forms = {"rpy": rpy, "wxyz": wxyz, "xyzw": xyzw, "rotvec": rotvec, "matrix": matrix}
+    given: dict[str, ArrayInput] = {name: value for name, value in forms.items() if value is not None}
     if len(given) > 1:
         raise ValueError(f"give one orientation, got {' and '.join(given)}")
     if orthonormalize and matrix is None:
@@ -236,10 +273,10 @@ def pose(
             _check_quaternion(form, value)
         rotation = from_quaternion(quaternion if form == "wxyz" else (quaternion[3], *quaternion[:3]))
     elif form == "matrix":
-        rotation, its_own = _from_array(value, orthonormalize, dtype)
-        if its_own is not None and position is not None:
+        rotation, matrix_position = _from_array(value, orthonormalize, dtype)
+        if matrix_position is not None and position is not None:
             raise ValueError("give one position: matrix of shape (..., 4, 4) holds one, and xyz is another")
-        position = its_own if position is None else position
+        position = matrix_position if position is None else position
     else:
         rotation = tuple(tuple(jnp.asarray(c, dtype) for c in row) for row in vector.IDENTITY)
     if position is None:
@@ -247,13 +284,14 @@ def pose(
     return to_matrix(Pose(rotation, position))
 
 
-def _angles(name: str, value, dtype) -> Vector:
+def _angles(name: str, value: ArrayInput, dtype: DTypeLike) -> Vector:
+    """Three angles, with a warning where they look like degrees."""
     angles = _components(name, value, 3, dtype)
     warn_of_degrees(name, value)
     return angles
 
 
-def _from_array(value, orthonormalize: bool, dtype) -> tuple[Matrix, Vector | None]:
+def _from_array(value: ArrayInput, orthonormalize: bool, dtype: DTypeLike) -> tuple[Matrix, Vector | None]:
     """The rotation of a (..., 3, 3) or (..., 4, 4) array, and the position of the latter."""
     array = jnp.asarray(value, dtype)
     if array.shape[-2:] not in ((3, 3), (4, 4)):
@@ -267,7 +305,7 @@ def _from_array(value, orthonormalize: bool, dtype) -> tuple[Matrix, Vector | No
         if known is not None:
             _check_rotation(known[..., :3, :3])
         near = vector.orthonormality_error(rotation) <= NEARLY_ROTATION
-        # The iteration overflows far from a rotation, where its derivative would be NaN.
+        # Far from a rotation the iteration overflows and its derivative would be NaN: it gets the identity.
         nearest = vector.nearest_rotation(_choose(near, rotation, vector.IDENTITY))
         rotation = _choose(near, nearest, rotation)
     return rotation, tuple(array[..., i, 3] for i in range(3)) if whole else None
@@ -280,6 +318,7 @@ def _choose(which: jax.Array, first: Matrix, second: Matrix) -> Matrix:
 
 
 def _check_rotation(matrix: np.ndarray) -> None:
+    """Raise where one of (..., 3, 3) is not near enough to a rotation to orthonormalize it."""
     gap = np.linalg.norm(np.swapaxes(matrix, -1, -2) @ matrix - np.eye(3), axis=(-2, -1))
     worst = float(np.max(gap, initial=0.0))
     if not worst <= NEARLY_ROTATION:
@@ -297,8 +336,22 @@ def _check_quaternion(name: str, value) -> None:
         raise ValueError(f"{name} must have length 1 within 1e-3, it is off by {worst:.2g}")
 
 
-def planar_pose(x, y, phi, *, dtype=None) -> jax.Array:
-    """The goal (x, y, phi) of a planar arm as (..., 4, 4): position [m], a turn phi about z [rad]."""
+def planar_pose(
+    x: ArrayInput, y: ArrayInput, phi: ArrayInput, *, dtype: DTypeLike | None = None
+) -> jax.Array:
+    """The goal of a planar arm as a pose: a position in the plane and a rotation about z.
+
+    Args:
+        x, y: Position [m], (...); z is zero.
+        phi: Angle about z [rad], (...); the three shapes broadcast.
+        dtype: Of the result; by default the floating type of the inputs.
+
+    Returns:
+        (..., 4, 4).
+
+    Warns:
+        Where `phi` is beyond a whole turn, as degrees are.
+    """
     warn_of_degrees("phi", phi)
     if dtype is None:
         dtype = _floating(x, y, phi)
@@ -307,46 +360,63 @@ def planar_pose(x, y, phi, *, dtype=None) -> jax.Array:
     return to_matrix(Pose(((cosine, -sine, 0.0), (sine, cosine, 0.0), (0.0, 0.0, 1.0)), position))
 
 
-def position(x, y, z, *, dtype=None) -> jax.Array:
-    """A goal with no orientation to speak of, as (..., 4, 4): position [m], rotation identity."""
+def position(x: ArrayInput, y: ArrayInput, z: ArrayInput, *, dtype: DTypeLike | None = None) -> jax.Array:
+    """The goal of an arm whose task is "position", as a pose with the identity as its rotation.
+
+    Args:
+        x, y, z: Position [m], (...), of shapes that broadcast.
+        dtype: Of the result; by default the floating type of the inputs.
+
+    Returns:
+        (..., 4, 4).
+    """
     xyz = jnp.broadcast_arrays(*(jnp.asarray(v, dtype) for v in (x, y, z)))
     return pose(jnp.stack(xyz, axis=-1), dtype=dtype)
 
 
 def clean(goal: Pose, reach: Scalar) -> tuple[Pose, jax.Array]:
-    """A goal that is finite, orthonormal and not absurdly far, and whether it was a pose at all."""
+    """A goal made finite, orthonormal and not absurdly far, and whether it was a pose.
+
+    Args:
+        goal: As given; anything.
+        reach: Of the arm [m].
+
+    Returns:
+        The goal, its rotation orthonormalized, the identity where it was none; and whether its rotation is
+        one within `ROTATION` and all its numbers are finite.
+    """
     goal, off = _measured(goal, reach)
-    rigid = off <= ROTATION
-    return Pose(vector.orthonormal(_or_identity(rigid, goal.rotation)), goal.position), rigid
+    is_pose = off <= ROTATION
+    return Pose(vector.orthonormal(_or_identity(is_pose, goal.rotation)), goal.position), is_pose
 
 
 def nearest_pose(rows: tuple[tuple[Scalar, ...], ...], reach: Scalar) -> tuple[Pose, jax.Array]:
-    """The pose nearest to a goal T_world_tool that need not be one, and by how much it is none.
+    """The pose nearest to a goal T_world_tool that need not be rigid, and how far the goal is from rigid.
 
     Args:
         rows: The goal's entries, four rows of four.
         reach: Of the arm [m].
 
     Returns:
-        The pose, its rotation in the place of one that is off by at most `NEARLY_ROTATION`, else a finite
-        stand-in that nothing may be measured against; and |R^T R - I|, infinite where no rotation is near: of
-        a reflection, of numbers that are not finite, of another bottom row.
+        The pose, with the nearest rotation where that of the goal is off by at most `NEARLY_ROTATION`, else
+        the identity, which nothing may be measured against; and |R^T R - I|, infinite for a reflection, for
+        numbers that are not finite and for a bottom row other than (0, 0, 0, 1).
     """
     rotation, position = tuple(row[:3] for row in rows[:3]), tuple(row[3] for row in rows[:3])
     goal, off = _measured(Pose(rotation, position), reach)
     for entry, wanted in zip(rows[3], (0, 0, 0, 1), strict=True):
         off = jnp.where(entry == wanted, off, jnp.inf)
-    near = vector.nearest_rotation(_or_identity(off <= NEARLY_ROTATION, goal.rotation))
-    return Pose(near, goal.position), off
+    rotation = vector.nearest_rotation(_or_identity(off <= NEARLY_ROTATION, goal.rotation))
+    return Pose(rotation, goal.position), off
 
 
 def _measured(goal: Pose, reach: Scalar) -> tuple[Pose, jax.Array]:
-    """The goal with finite numbers, and |R^T R - I|, infinite where they were none or mirror."""
+    """The goal with finite numbers, and |R^T R - I|, infinite where they were not finite or mirror."""
     numbers = [*(c for row in goal.rotation for c in row), *goal.position]
     finite = jnp.isfinite(numbers[0])
     for number in numbers[1:]:
         finite &= jnp.isfinite(number)
-    # A wild matrix must not overflow on its way to being refused.
+    # The fourth power of a large entry must not overflow in the norm below, see `LARGEST_ENTRY`.
     rotation = tuple(
         tuple(jnp.clip(c, -LARGEST_ENTRY, LARGEST_ENTRY) for c in row)
         for row in _or_identity(finite, goal.rotation)
@@ -359,6 +429,7 @@ def _measured(goal: Pose, reach: Scalar) -> tuple[Pose, jax.Array]:
 
 
 def _or_identity(good: jax.Array, rotation: vector.Matrix) -> vector.Matrix:
+    """The rotation where it is good, else the identity."""
     return tuple(
         tuple(jnp.where(good, c, k) for c, k in zip(row, unit, strict=True))
         for row, unit in zip(rotation, vector.IDENTITY, strict=True)

@@ -1,7 +1,8 @@
-"""Text that came from elsewhere, escaped for the medium it is shown in: one function for each.
+"""Escaping text from files for where it is shown: a terminal, a log, HTML, Markdown, matplotlib.
 
-Names of arms, branches and statistics come out of files that anyone may have written. They are
-text wherever they are shown: nothing in them steers a terminal, forges a line, or is markup or a formula.
+Names of arms, joints, branches and statistics come from files that anyone may have written. With one function
+for each medium they stay text: nothing in them controls a terminal, forges a line of a log, or is markup or a
+formula.
 """
 
 import html as _html
@@ -9,11 +10,11 @@ import re
 
 _ADDRESS = re.compile(r"(?<=http)(?=:)|(?<=https)(?=:)|(?<=www)(?=\.)|(?=@)", re.IGNORECASE)
 _MARKS = re.compile(r"[!-+.:-@\[-`{-~-]")
-"""ASCII's punctuation, but for comma and slash, which mark nothing."""
+"""ASCII's punctuation, but for comma and slash, which are no markup."""
 
 
 def printable(text: object) -> str:
-    """Lines for a terminal: control characters, and those that turn the direction of writing, spelt out."""
+    """Lines for a terminal; characters that control it or change the direction of writing are spelt out."""
     text = str(text)
     if text.isprintable():
         return text
@@ -21,28 +22,28 @@ def printable(text: object) -> str:
 
 
 def line(text: object) -> str:
-    """A name for a terminal, a log, an error or a repr: as `printable`, its line ends spelt out too."""
+    """A name for a terminal, a log, an error or a repr: as `printable`, with line ends spelt out too."""
     return printable(text).replace("\n", "\\n")
 
 
 def one_line(text: object) -> str:
-    """A whole message on one line, with single blanks for line ends and for blanks that stand together."""
+    """A whole message on one line: line ends and runs of blanks become single blanks."""
     return printable(" ".join(str(text).split()))
 
 
 def html(text: object) -> str:
-    """Lines for a page or an attribute of it."""
+    """Lines for HTML, as text or as the value of an attribute."""
     return _html.escape(printable(text))
 
 
 def markdown(text: object) -> str:
-    """A name for Markdown, which may hold HTML: no markup, no image, no link, no cell of a table."""
-    # Readers look for addresses after they have resolved references to characters: a word joiner, which has
-    # no width, keeps an address from being one.
+    """A name for Markdown, which may hold HTML: without markup, images, links or cells of a table."""
+    # Viewers turn addresses into links after they have resolved character references. A word joiner, which
+    # has no width, keeps an address from being recognized.
     apart = _ADDRESS.sub("\N{WORD JOINER}", line(text))
-    return _MARKS.sub(lambda found: f"&#{ord(found[0])};", apart)
+    return _MARKS.sub(lambda mark: f"&#{ord(mark[0])};", apart)
 
 
 def picture(text: object) -> str:
-    """A name for matplotlib, which takes what stands between two dollars for a formula."""
+    """A name for a figure: matplotlib typesets what stands between two dollar signs as a formula."""
     return line(text).replace("$", r"\$")

@@ -89,8 +89,8 @@ SHORT_HAND = 1e-3
 # Projection and gradients
 
 CONVERGED = {"float32": 2e-5, "float64": 1e-8}
-"""The gradient norm below which a descent counts as converged, see `ik.newton.steepness`: some hundred
-roundings in float32, the square root of one in float64."""
+"""The gradient norm below which a descent counts as converged, see `ik.newton.projected_gradient_norm`: some
+hundred roundings in float32, the square root of one in float64."""
 
 CURVATURE_FLOOR = 1e-6
 """[reaches^2/rad^2] The least curvature that a Newton step divides by."""

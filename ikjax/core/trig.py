@@ -1,10 +1,10 @@
 """Sine with cosine, atan2 and wrapping as plain polynomials, so that they vectorize.
 
-One code path for every device; float32 and float64.
-`jnp.sin`, `jnp.cos` and `jnp.arctan2` are one library call for each number on a CPU, which no
-kernel can afford; these are a handful of fused multiply-adds each, and never look at tables.
+The same code on every device, in float32 and float64.
+`jnp.sin`, `jnp.cos` and `jnp.arctan2` are one library call for each number on a CPU, which is too slow for a
+kernel; these are a few fused multiply-adds each, without tables.
 
-Source: the reduction by a multiple of pi/2 held in several parts is Cody and Waite, Software
+Source: the reduction by a multiple of pi/2 that is given in several parts is Cody and Waite, Software
 Manual for the Elementary Functions (1980), chapter 8. The polynomials are minimax fits of
 atan(t)/t, sin(t)/t and cos(t) in t^2, made with Remez exchange at 50 digits.
 """
@@ -21,7 +21,7 @@ import numpy as np
 Scalar = Any
 """A jax array of any batch shape, or a Python float that is known while tracing."""
 SinCos = tuple[Scalar, Scalar]
-"""An angle as (sine, cosine): the form in which kernels hand angles from step to step."""
+"""An angle as (sine, cosine): the form in which kernels pass angles on."""
 
 PI = math.pi
 
@@ -30,15 +30,17 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def _traced_once(f: F) -> F:
-    """A kernel calls these some fifty times: they are traced once a shape, and then part of its graph as
-    if written there. Outside a jit they are one program instead of thirty."""
+    """Trace a function once for each shape, and inline it where it is called.
+
+    A kernel calls these functions some fifty times. Outside a jit each is one program instead of thirty.
+    """
     return cast(F, jax.jit(f, inline=True))
 
 
 class Angle(NamedTuple):
-    """An angle as its sine and cosine, with its value in [-pi, pi] [rad] beside them.
+    """An angle as its sine and cosine, and its value in [-pi, pi] [rad].
 
-    What nobody reads is never computed under jit, so a step may fill in the value at once.
+    Under jit a value that is not used is not computed, so that a step may always fill it in.
     """
 
     sin: Scalar
@@ -108,7 +110,7 @@ _COS = {
 
 
 def _in_parts(value: str, widths: tuple[int, ...]) -> tuple[float, ...]:
-    """A long decimal as a sum of floats that have so many bits each, so that products stay exact."""
+    """A long decimal as a sum of floats of so many bits each, so that products with integers are exact."""
     rest, parts = Fraction(value), []
     for bits in widths:
         step = Fraction(2) ** (math.floor(math.log2(abs(float(rest)))) + 1 - bits)
@@ -131,6 +133,7 @@ def _bits(x: jax.Array) -> int:
 
 
 def _polynomial(coefficients: tuple[float, ...], x: jax.Array) -> jax.Array:
+    """The polynomial with these coefficients, the constant first, by Horner's rule."""
     value = jnp.full_like(x, coefficients[-1])
     for c in reversed(coefficients[:-1]):
         value = value * x + x.dtype.type(c)
@@ -162,7 +165,7 @@ def _sincos(x: jax.Array) -> tuple[jax.Array, jax.Array]:
     t = x
     for part in _HALF_PI[bits]:
         t = t - turns * const(part)
-    # Only an |x| beyond the stated range is touched by the clip.
+    # Only an |x| beyond the stated range is changed by the clip.
     t = jnp.clip(t, const(-0.8), const(0.8))
     z = t * t
     s = t + t * z * _polynomial(_SIN[bits], z)
@@ -188,7 +191,7 @@ def atan2(y: Scalar, x: Scalar) -> jax.Array:
     """Angle of the point (x, y) in [-pi, pi] [rad], as C's atan2: signed zeros and infinities too.
 
     The error is below 1.5 ulp of pi (float64), 3e-7 rad (float32). Subnormal numbers may count as
-    zero. The derivative is exact, and zero at the origin, where none exists.
+    zero. The derivative is exact, and zero at the origin, where there is none.
     """
     return _atan2(*_floating(y, x))
 
@@ -198,7 +201,7 @@ def _atan2(y: jax.Array, x: jax.Array) -> jax.Array:
     bits, const = _bits(x), x.dtype.type
     ax, ay = jnp.abs(x), jnp.abs(y)
     low, high = jnp.minimum(ax, ay), jnp.maximum(ax, ay)
-    # Two infinities are 45 degrees apart, two zeros have no slope: neither may become NaN.
+    # Neither inf / inf nor 0 / 0 may become NaN: two infinities give 45 degrees, two zeros give zero.
     high = jnp.maximum(high, jnp.finfo(x.dtype).tiny)
     t = jnp.where(low == high, const(1), low / high)
     z = t * t
@@ -213,7 +216,7 @@ def _atan2(y: jax.Array, x: jax.Array) -> jax.Array:
 def _atan2_jvp(primals, tangents):
     y, x = primals
     dy, dx = tangents
-    # Scaled by the larger side, so that neither the square overflows nor a short vector vanishes.
+    # The larger component is divided out first: no square overflows, and none of a short vector underflows.
     size = jnp.maximum(jnp.abs(x), jnp.abs(y))
     usable = (size > 0) & jnp.isfinite(size)
     size = jnp.where(usable, size, 1)
@@ -235,11 +238,11 @@ def _wrap(x: jax.Array) -> jax.Array:
     t = x
     for part in _HALF_PI[_bits(x)]:
         t = t - quarters * const(part)
-    # The count of turns can be rounded to the wrong side of half a turn.
+    # The number of turns can be rounded to the wrong side of half a turn.
     more = jnp.where(jnp.abs(t) > const(PI), jnp.copysign(const(4), t), const(0))
     for part in _HALF_PI[_bits(x)]:
         t = t - more * const(part)
-    t = jnp.where(jnp.abs(x) <= const(PI), x, t)  # exact where there is nothing to do
+    t = jnp.where(jnp.abs(x) <= const(PI), x, t)  # exact where there is nothing to wrap
     return canonical(jnp.clip(t, const(-PI), const(PI)))
 
 
@@ -249,9 +252,9 @@ def _wrap_jvp(primals, tangents):
 
 
 def with_turns(x: jax.Array, turns: jax.Array) -> jax.Array:
-    """x + 2 pi turns, right to two roundings up to 10^4 turns; the turns have no derivative.
+    """x + 2 pi turns, with two roundings up to 10^4 turns; there is no derivative in the turns.
 
-    In float32, 2 pi itself is off by 1.7e-7, which would be added once a turn.
+    In float32, 2 pi itself is off by 1.7e-7, an error that would be added with every turn.
     """
     quarters = 4 * jax.lax.stop_gradient(turns)
     first, *rest = (quarters * x.dtype.type(part) for part in _HALF_PI[_bits(x)])
@@ -259,7 +262,7 @@ def with_turns(x: jax.Array, turns: jax.Array) -> jax.Array:
 
 
 def canonical(angle: jax.Array) -> jax.Array:
-    """An angle in [-pi, pi] in its one form in (-pi, pi]."""
+    """An angle in [-pi, pi] brought to (-pi, pi]: -pi becomes pi."""
     return jnp.where(angle <= -np.asarray(PI, angle.dtype), np.asarray(PI, angle.dtype), angle)
 
 
@@ -268,10 +271,10 @@ def angle(sine: Scalar, cosine: Scalar) -> Angle:
     return Angle(sine, cosine, atan2(sine, cosine))
 
 
-def nudged(sine: Scalar, cosine: Scalar, step: Scalar) -> SinCos:
-    """Sine and cosine after a small step; off the circle by an eighth of step^4."""
-    less = 1 - step * step / 2
-    return sine * less + cosine * step, cosine * less - sine * step
+def add_small_angle(sine: Scalar, cosine: Scalar, step: Scalar) -> SinCos:
+    """Sine and cosine of an angle plus a small step; their squares add up to one but for step^4 / 4."""
+    cos_step = 1 - step * step / 2
+    return sine * cos_step + cosine * step, cosine * cos_step - sine * step
 
 
 def half_turn(x: Angle) -> Angle:

@@ -1,10 +1,10 @@
 """3-vectors and 3x3 matrices as tuples of scalars.
 
-A vector is (x, y, z), a matrix three rows of it. Every component may be an array of
+A vector is (x, y, z), a matrix three such rows. Every component may be an array of
 any batch shape: each line is one elementwise operation, which XLA fuses with its neighbors.
 
-A component that is a plain Python 0, 1 or -1 is known while tracing and costs nothing; that is how
-an arm baked in as constants becomes fast.
+A component that is a Python 0, 1 or -1 is known while tracing, and its products and sums are left out: that
+is why a kernel is fast whose arm is a constant (`Arm.baked`).
 """
 
 from ikjax.core import safe
@@ -28,7 +28,7 @@ def times(a: Scalar, b: Scalar) -> Scalar:
 
 
 def minus(a: Scalar) -> Scalar:
-    """-a, where a known zero stays one."""
+    """-a; a known zero stays 0.0, which -a would make -0.0."""
     return -a if not isinstance(a, int | float) or a != 0 else 0.0
 
 
@@ -83,9 +83,9 @@ def matmul(m: Matrix, n: Matrix) -> Matrix:
 
 
 def orthonormal(m: Matrix) -> Matrix:
-    """The right-handed frame nearest in spirit: x kept, y made perpendicular, z their product.
+    """A right-handed frame by Gram-Schmidt on the columns: x keeps its direction, z is normal to x and y.
 
-    Gram-Schmidt on the columns. A matrix that is no rotation still gives finite numbers.
+    A matrix that is no rotation still gives finite numbers.
     """
     x, y, _ = transpose(m)
     x = scale(safe.reciprocal_sqrt(dot(x, x)), x)
@@ -99,7 +99,7 @@ def nearest_rotation(m: Matrix) -> Matrix:
 
     The norm e of R^T R - I becomes 3/4 e^2 with every step, so three lead from 1e-2 to 2e-17; the
     derivative converges with them. Of a matrix further off, the result is no rotation and may
-    overflow: put another in its place before.
+    overflow: the caller replaces such a matrix first.
 
     Source: the Newton-Schulz iteration; Higham, Computing the polar decomposition, with
     applications (1986).

@@ -1,6 +1,6 @@
-"""Warnings at the caller's line: of arguments that are probably in degrees or millimetres.
+"""Warnings at the caller's line, among them of arguments that are probably in degrees or millimetres.
 
-Host side: values that are traced are not looked at.
+They look at concrete values only; traced ones pass without a warning.
 """
 
 import math
@@ -11,16 +11,16 @@ import jax
 import numpy as np
 
 MOST_LOOKED_AT = 100_000
-"""Of a long array so many numbers, because a wrong unit is wrong everywhere."""
+"""So many numbers of a long array are checked: a wrong unit is wrong everywhere."""
 
 MOST_TURNS = 4
-"""Joints that stand further are taken for degrees."""
+"""Joint values beyond so many turns are taken for degrees."""
 
 LONGEST = 30
 """[m] Longer arms are taken for millimetres."""
 
 UNIT_MISTAKE = 2e4
-"""What is so large is in no unit of its kind: it stands for no limit, or tests a range of numbers."""
+"""No wrong unit explains a number beyond this: it stands for "no limit", or tests a range of numbers."""
 
 
 def warn(text: str) -> None:
@@ -34,29 +34,40 @@ def warn(text: str) -> None:
 def warn_of_degrees(name: str, angles, turns: float = 1, kinds: str = "") -> None:
     """One warning where an angle [rad] is beyond so many turns, as degrees are.
 
-    Of values (..., n) with the kinds of n joints, "R" or "P" each, only the turning ones are looked at.
+    Args:
+        name: Of the argument, for the message.
+        angles: Any shape; (..., n) joint values with `kinds`.
+        turns: The largest number of whole turns without a warning.
+        kinds: "R" or "P" for each of n joints: only the revolute ones are checked.
     """
-    turning = [kind == "R" for kind in kinds] if kinds else [True]
-    found = _beyond(angles, turns * 2 * math.pi, turning)
-    if found is not None:
-        warn(f"{name} holds {found:.4g} rad, which is {found / (2 * math.pi):.3g} turns: degrees?")
+    revolute = [kind == "R" for kind in kinds] if kinds else [True]
+    angle = _beyond(angles, turns * 2 * math.pi, revolute)
+    if angle is not None:
+        warn(f"{name} holds {angle:.4g} rad, which is {angle / (2 * math.pi):.3g} turns: degrees?")
 
 
 def warn_of_millimetres(name: str, length) -> None:
-    """One warning where a column of a table adds up to more metres than arms are long."""
-    found = _beyond(length, LONGEST, [True])
-    if found is not None:
-        warn(f"{name} adds up to {found:.4g} m: millimetres?")
+    """One warning where the sum of a column of a table [m] is longer than arms are."""
+    total = _beyond(length, LONGEST, [True])
+    if total is not None:
+        warn(f"{name} adds up to {total:.4g} m: millimetres?")
 
 
 def _beyond(values, most: float, columns: list[bool]) -> float | None:
-    """The size of the first number of some columns that is too large, and that another unit explains."""
+    """The absolute value of the first number beyond `most` that a wrong unit explains; None without one.
+
+    Args:
+        values: Any shape, read as rows of as many entries as `columns` has.
+        most: The largest number without a warning.
+        columns: Which entries of a row are checked.
+    """
     if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(values)):
         return None
     array = values if isinstance(values, jax.Array) else np.asarray(values, float)
-    with jax.ensure_compile_time_eval():  # what a jit captures has a value, what is cut from it has none
+    # An array that a jit captures is concrete, but a slice of it would be traced without this.
+    with jax.ensure_compile_time_eval():
         rows = array.reshape(-1, len(columns))[: MOST_LOOKED_AT // len(columns)]
     sizes = np.abs(np.asarray(rows, float))[:, columns]
-    # Files round a turn up.
+    # A turn that a file has rounded up is still a turn.
     sizes = sizes[(sizes > most * (1 + 1e-6) + 1e-3) & (sizes < UNIT_MISTAKE)]
     return float(sizes[0]) if len(sizes) else None

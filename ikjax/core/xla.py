@@ -1,18 +1,29 @@
-"""What the compiler needs to be told. Every workaround for XLA stands here, under a name of its kind.
+"""What the compiler needs to be told: every workaround for XLA, once, under a name of its kind.
 
-Pinning. XLA on a CPU computes a sum or a product again for every array that needs it: cheap where little is
-shared, and many times slower where a long chain is. A pinned value is computed once and kept: it is divided
-by a one that XLA cannot see through, and a division is dear enough that XLA keeps its result. (An
-optimization barrier is gone by the time it decides that.) Kernels call `pin` on what many later numbers need;
-whether it does anything is decided around them, by `with pinning(...)`, and without that it does nothing.
+Each says the symptom, the jax versions on which it was seen, the figures before and after, the test that
+guards it, and when it may go. Rates are of a PUMA 560 or a UR5 in float32 on two cores of an AMD EPYC with
+AVX-512 unless another machine is named; `python benchmarks/guard.py` measures the ratios that they stand for.
+
+Three facts explain most of it, all of XLA on a CPU (jax 0.10.2 to 0.12.0):
+
+1. A sum or a product is computed again in every fused loop that reads it. That is cheap where little is
+   shared and many times slower where a long chain of values is. A division is dear enough to be stored.
+2. A loop with one result is fused into one pass over the batch; of a loop with several, each result may
+   become a pass of its own.
+3. Emitting a loop takes time and code that grow with each repeated subexpression, without a bound.
 """
 
 import contextlib
 import contextvars
-from collections.abc import Callable, Iterator
+import functools
+import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.experimental.layout import Layout, with_layout_constraint
 
 from ikjax.core import safe
 from ikjax.core.trig import Scalar
@@ -24,15 +35,27 @@ _pin: contextvars.ContextVar[Pin | None] = contextvars.ContextVar("pin", default
 _agreed: contextvars.ContextVar[Pin | None] = contextvars.ContextVar("agreed", default=None)
 
 
+# Pinning: values that are computed once.
+
+
 def opaque_one(like: jax.Array) -> jax.Array:
     """Ones of the shape and type of `like`, which XLA cannot see through."""
     return jnp.where(like == like, 1, 2).astype(like.dtype)
 
 
 def divider(like: jax.Array) -> Pin:
-    """Pins values by a one of the shape of `like`."""
+    """A pin: division by ones of the shape of `like`, which keeps a value from being computed again.
+
+    Symptom: joints in a jit are recomputed from the goal for each entry that is stored, and a program of
+    gradients compiles for a minute. An `optimization_barrier` does not help: it is removed before loops are
+    fused. A division by a number that is broadcast becomes a multiplication by its reciprocal, which is
+    recomputed again; so the ones have the shape of the batch.
+    Seen with: jax 0.10.2 to 0.12.0, CPU.
+    Figures: compile of a gradient in all numbers of a PUMA 54 s before, 8 s with ones of the whole shape.
+    Test: tests/ik/test_known.py and `make guard` (joints in a jit); it may go when XLA keeps what an
+    `optimization_barrier` marks.
+    """
     one = opaque_one(like)
-    # A division by a number that is spread out would become a multiplication, and be done again.
     return lambda x: x / (one if jnp.ndim(x) <= one.ndim else opaque_one(x))
 
 
@@ -49,6 +72,15 @@ def divider_once(like: jax.Array) -> Pin:
         return result
 
     return pin
+
+
+def pin_number(x: jax.Array) -> jax.Array:
+    """A number of a traced arm, as a value of its own.
+
+    Symptom: sines and cosines of twists that are traced are computed again for every goal.
+    Seen with: jax 0.10.2 to 0.12.0, CPU. Test: `make guard`; it may go with `divider`.
+    """
+    return x / opaque_one(x)
 
 
 def pin(x: Scalar) -> Scalar:
@@ -131,3 +163,147 @@ def agreed_root(x: Scalar) -> Scalar:
     """A square root, agreed on between writings because rounding makes it uncertain near zero."""
     root, policy = safe.sqrt(x), _agreed.get()
     return root if policy is None else policy(root)
+
+
+# Fused loops: masks.
+
+LARGEST_LOOP = 2400
+"""Instructions of the largest loop that is fused whole.
+
+Symptom: beyond, shared values are computed again and again. Seen with: jax 0.10.2, CPU. Figures: four times
+the time a goal beyond 2,400 instructions, a hundred times past 2,800; a quartic's masks never ended. So
+families whose kernels are larger are not marked `small` (`solvers.families`), and their kernels are pinned.
+Test: tests/ik/test_solve.py counts the instructions of each. It may go when XLA limits recomputation by its
+cost."""
+
+
+def in_bits(flags: Sequence[jax.Array], dtype) -> jax.Array:
+    """Flags as bits of one floating-point number, the first lowest."""
+    one = np.dtype(dtype).type
+    return functools.reduce(jnp.add, [jnp.where(flag, one(2**k), one(0)) for k, flag in enumerate(flags)])
+
+
+def through_one_number(flags: Sequence[jax.Array], like: jax.Array, shape: tuple[int, ...], pin: Pin):
+    """Flags as bits of one pinned whole number (shape), int32, from which they are read.
+
+    Symptom: a stack of eight flags is computed by eight branches of one loop, in scalars. A number that all
+    of them are read from is computed once, in one vectorized loop. Seen with: jax 0.10.2, CPU. Figures: a
+    count in a jit, PUMA, 2 before and 60 million goals/s after. Test: `make guard` (count in a jit); it may
+    go when a concatenation of fused values is vectorized.
+    """
+    return pin(jnp.broadcast_to(in_bits(flags, like.dtype), shape)).astype(jnp.int32)
+
+
+def hidden(rows: Any, like: jax.Array) -> Any:
+    """A tree of arrays, each multiplied by ones that XLA cannot see through.
+
+    Symptom: of two writings of one kernel XLA finds what they have in common, and stores all of it; the loop
+    of the masks then breaks up. Seen with: jax 0.10.2, CPU. Test: `make guard` (count in a jit).
+    """
+    one = opaque_one(like)
+    return jax.tree.map(lambda x: x * one, rows)
+
+
+# Rows and columns.
+
+
+def to_columns(rows: jax.Array) -> jax.Array:
+    """A block of rows (N, ...) as columns (k, N), stored as columns.
+
+    Symptom: read in place, with a stride, the numbers of a row make scalar code of the whole kernel.
+    Seen with: jax 0.10.2, CPU. Figures: eager `solve`, PUMA, 1.1 before and 2.3 million goals/s after.
+    Test: `make guard` (solve, eager); it may go when XLA vectorizes strided loads.
+    """
+    return with_layout_constraint(rows.reshape(rows.shape[0], -1).T, Layout((0, 1)))
+
+
+def to_rows(columns: Sequence[Any], count: int) -> jax.Array:
+    """Columns (count,), or numbers, as rows (count, their number); a transpose is a loop of its own."""
+    return jnp.stack([jnp.broadcast_to(x, (count,)) for x in columns]).T
+
+
+# Long programs.
+
+
+def one_by_one(f: Callable[[Any], Any], rows: Any) -> Any:
+    """f of each row, in a loop, where a batch would do as well.
+
+    Symptom: eight copies of a long kernel in one program compile eight times as long (half a minute for
+    manipulability at each branch), and what lies between two steps of many starts outgrows the cache. Seen
+    with: jax 0.10.2, CPU. Figures: default `project` of an SO-101 0.0057 before and 0.0101 million goals/s
+    after, on an EPYC without AVX-512. Test: `make guard` (project). It is no fault of XLA and stays.
+    """
+    return jax.lax.map(f, rows)
+
+
+def in_blocks(f: Callable[..., jax.Array], batch: tuple[int, ...], rows: Any, block: int) -> jax.Array:
+    """f of rows (*batch, ...), in blocks that fit a CPU's cache, for reverse mode as well.
+
+    Symptom: the intermediate values of a whole batch go through memory, forwards and backwards. Nothing of a
+    block but its rows is kept for reverse mode: to compute it again is cheaper than to fetch it. Seen with:
+    jax 0.10.2, CPU. Test: tests/ik/test_solve_gradient.py (a loop in the program). It is no fault of XLA and
+    stays.
+    """
+    count = math.prod(batch)
+    # One loop would gather what is spread over devices, and a GPU has no use for it.
+    if count <= block or jax.default_backend() != "cpu" or jax.device_count() > 1:
+        return f(*rows)
+    blocks = -(-count // block)
+    size = -(-count // blocks)
+
+    def cut(x):
+        flat = x.reshape(count, *x.shape[len(batch) :])
+        flat = jnp.pad(flat, [(0, blocks * size - count), *[(0, 0)] * (flat.ndim - 1)])
+        return flat.reshape(blocks, size, *flat.shape[1:])
+
+    each = jax.checkpoint(lambda x: f(*x), prevent_cse=False)
+    result = jax.lax.map(each, jax.tree.map(cut, rows))
+    return result.reshape(-1, *result.shape[2:])[:count].reshape(*batch, *result.shape[2:])
+
+
+def not_folded(captured: jax.Array) -> jax.Array:
+    """Goals that a jit captures, kept from constant folding.
+
+    Symptom: captured goals are constants; XLA folds the opaque ones that are made of them, and nothing is
+    pinned any more. Seen with: jax 0.10.2, CPU. Test: tests/ik/test_solve_gradient.py (captured goals give
+    the same program); it may go with `divider`.
+    """
+    return jax.lax.optimization_barrier(captured)
+
+
+# Compiler options.
+
+
+def wide_vectors() -> dict[str, str]:
+    """Options for kernels of ours: 512-bit vectors on a CPU.
+
+    Symptom: XLA's own choice is 256 bits, half of what AVX-512 has. Seen with: jax 0.10.2 on AVX-512
+    machines. Figures: a sweep of a PUMA 57 to 76 before, 98 to 115 million goals/s after. Without AVX-512 it
+    changes nothing. It may go when the default does.
+    """
+    return {"xla_cpu_prefer_vector_width": "512"} if jax.default_backend() == "cpu" else {}
+
+
+def one_thread() -> dict[str, str | bool]:
+    """Options for programs of which several run at once: nothing is shared out inside.
+
+    Symptom: loops of one program shared out over threads wait for each other. Seen with: jax 0.10.2, CPU.
+    Figures: 25 % more goals/s of a sweep with one call on each thread. It may go when it pays no more.
+    """
+    alone = {"xla_cpu_multi_thread_eigen": False} if jax.default_backend() == "cpu" else {}
+    return {**wide_vectors(), **alone}
+
+
+# Notes on code that looks odd elsewhere.
+#
+# `solvers.families.three_parallel`: a quotient that several later values need is stored by XLA, which breaks
+# a fused loop apart; so each goes through a mask. UR5, count in a jit: 4.6 before, 34 million goals/s after;
+# sweep 23 before, 31 after (jax 0.10.2).
+#
+# `synthesis.candidates`: a choice before a minimum within the loop of candidates, `jnp.where(some, margin,
+# inf)`, made XLA emit the kernel again and again: 13 minutes of compile for a SCARA on jax 0.12.0, 1.4 s
+# where the batch is padded by repeating its first goal instead. Test: tests/synthesis/test_place.py.
+#
+# `maps.kernel.loop`: statistics that need joints are reduced in a loop of their own, and all flags of a goal
+# travel as one number, because a loop with four results is computed four times. The best margin in a loop of
+# its own: UR5 31 million goals/s. A loop of one iteration costs a tenth of a call: its body is written down.

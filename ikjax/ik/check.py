@@ -1,10 +1,11 @@
-"""What a person asks before and after solving: is this a goal, and how is this arm solved?
+"""`check_goals`: are these goals poses? `explain`: how is this arm solved?
 
 Host side: both look at values.
 """
 
 import jax
 import numpy as np
+from jax.typing import ArrayLike
 
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import reach
@@ -17,28 +18,29 @@ from ikjax.solvers.families import FAMILIES
 from ikjax.solvers.pipeline import as_solved
 
 
-def check_goals(arm: Arm, goals) -> None:
-    """Raise unless every goal is a pose; `solve` would mask the ones that are not.
+def check_goals(arm: Arm, goals: ArrayLike) -> None:
+    """Raise unless every goal is a pose; `solve` would mask those that are not.
 
     Args:
         arm: The arm.
-        goals: (..., 4, 4).
+        goals: T_world_tool, (..., 4, 4).
 
     Raises:
-        ValueError: Naming the first goal that is not finite, whose bottom row is not (0, 0, 0, 1), or
-            whose rotation is off by more than 1e-5, with what was found.
+        ValueError: Naming the first goal that is not finite, whose bottom row is not (0, 0, 0, 1), or whose
+            rotation is off by more than 1e-5, with what was found. Also inside jit, vmap or grad.
 
     Warns:
-        Where a goal lies ten reaches from the base, as one in millimetres does.
+        Where a goal is more than ten reaches from the base, as one in millimetres is.
     """
     if isinstance(goals, jax.core.Tracer):
         raise ValueError("check_goals looks at values, so it cannot stand inside jit, vmap or grad")
-    goals = np.asarray(as_goals(goals), float)
-    flat = goals.reshape(-1, 4, 4)
+    matrices = np.asarray(as_goals(goals), float)
+    flat, batch = matrices.reshape(-1, 4, 4), matrices.shape[:-2]
 
     def first(bad: np.ndarray) -> tuple[str, np.ndarray]:
+        """The name of the first bad goal, and the goal."""
         i = int(np.argmax(bad))
-        index = tuple(map(int, np.unravel_index(i, goals.shape[:-2]))) if goals.ndim > 2 else ()
+        index = tuple(map(int, np.unravel_index(i, batch))) if batch else ()
         others = f" (and {bad.sum() - 1} more)" if bad.sum() > 1 else ""
         return f"goals{list(index) if index else ''}{others}", flat[i]
 
@@ -52,7 +54,7 @@ def check_goals(arm: Arm, goals) -> None:
         hint = ": transposed?" if np.any(goal[3, :3]) else ""
         raise ValueError(f"{name} must have bottom row (0, 0, 0, 1), got {goal[3]}{hint}")
     rotation = flat[:, :3, :3]
-    with np.errstate(over="ignore", invalid="ignore"):  # of a matrix of 1e308, say
+    with np.errstate(over="ignore", invalid="ignore"):  # entries of 1e308, for example, overflow
         error = np.linalg.norm(np.swapaxes(rotation, 1, 2) @ rotation - np.eye(3), axis=(1, 2))
     bad = ~(error <= ROTATION)
     if bad.any():
@@ -64,32 +66,37 @@ def check_goals(arm: Arm, goals) -> None:
     if bad.any():
         name, _ = first(bad)
         raise ValueError(f"{name} must hold a rotation, got a reflection (determinant -1)")
-    within = float(reach(arm.baked()))
+    size = float(reach(arm.baked()))
     distance = np.linalg.norm(flat[:, :3, 3] - np.asarray(arm.base, float)[:3, 3], axis=1)
-    far = distance > MILLIMETRES * within
-    if far.any() and within > 0:
+    far = distance > MILLIMETRES * size
+    if far.any() and size > 0:
         name, _ = first(far)
         warn(
-            f"{name} lies {distance[far][0]:.4g} m from the base, the arm reaches {within:.3g} m: "
+            f"{name} lies {distance[far][0]:.4g} m from the base, the arm reaches {size:.3g} m: "
             "are these millimetres?"
         )
 
 
-_HELD = (
+_NEAREST_IS_CLOSED_FORM = (
     "project starts from each branch with the goal's point held and the nearest orientation that allows; "
     "with limits also with joint 2 or 4 at one, or joint 5 beyond its gap; that the best of where they "
     "lead is the nearest of all poses was measured on samples, not proved."
 )
-_BOTTOM = "no small move improves where they end; that it is the nearest of all poses is not proved."
+_MINIMUM_IS_LOCAL = (
+    "no small move improves where they end; that it is the nearest of all poses is not proved."
+)
 _CLAMPED = (
     "project starts from each branch, clamped where it does not reach, and from 28 fixed joints where poses "
-    f"are asked for or limits set: {_BOTTOM}"
+    f"are asked for or limits set: {_MINIMUM_IS_LOCAL}"
 )
-_SCATTERED = f"project starts from 64 fixed joints spread over the limits: {_BOTTOM}"
+_SCATTERED = f"project starts from 64 fixed joints spread over the limits: {_MINIMUM_IS_LOCAL}"
 
 
 def explain(arm: Arm) -> str:
-    """Which closed form solves the arm, why, and what its branches are, as text to print."""
+    """Which closed form solves the arm, why, and what its branches are, as text to print.
+
+    For an arm without a closed form: why there is none, and what would help. Host side.
+    """
     if arm.family is None:
         return f"{refusal(arm)}.\n{what_was_found(arm)}\n{_SCATTERED}"
     rule = recognize.RULES[arm.family]
@@ -115,7 +122,7 @@ def explain(arm: Arm) -> str:
         lines.append("complete = False: beside its folds the arm as given may have solutions in no slot.")
     if arm.coupling is not None:
         lines.append("Joints are coupled: q holds motor values.")
-    lines.append(_HELD if FAMILIES[arm.family].nearest else _CLAMPED)
+    lines.append(_NEAREST_IS_CLOSED_FORM if FAMILIES[arm.family].nearest else _CLAMPED)
     lines.append(f"Branches ({len(arm.branches)}):")
     lines += [f"  {slot}  {name}" for slot, name in enumerate(arm.branches)]
     return "\n".join(lines)

@@ -2,14 +2,15 @@
 
 What the caller does not use is never computed.
 
-XLA on a CPU computes a sum or a product again for every array that needs it. For a yes or a no that
-is the fastest way there is: one fused loop. For joints it is many times slower, and near a
-singularity, where an angle is made of rounding errors, two roundings of one angle do not belong
-together. So the kernel is written down twice: free for the masks, and with its shared values held
-for everything else. Whichever is not used is dropped. A square root near zero makes half the digits
-noise, and noise of two roundings would not fit together: such roots are computed once for both, from
-a third writing down of which nothing else is kept. A kernel that is too large for one loop is written
-down once, held.
+XLA on a CPU computes a sum or a product again for every array that needs it (`core.xla`). For masks that is
+the fastest way: one fused loop. For joints it is many times slower. And near a singularity, where an angle is
+made of rounding errors, two copies of it that are rounded differently do not fit together. So the kernel is
+traced twice: once without pins for the masks, and once with its shared values pinned for everything else. XLA
+drops what is not used.
+
+A square root near zero turns half its digits into noise, and the masks and the joints must see the same
+noise. Such roots are computed once for both, from a third trace of which nothing else is used. A kernel that
+is too large for one fused loop is traced once, pinned.
 """
 
 import functools
@@ -24,9 +25,8 @@ from ikjax.arm.arm import Arm
 from ikjax.arm.forward import reach
 from ikjax.core.known import is_traced
 from ikjax.core.pose import Pose, clean
-from ikjax.core.xla import AgreedRoots, divider, opaque_one, pinning
+from ikjax.core.xla import AgreedRoots, divider, hidden, pinning, through_one_number
 from ikjax.ik.results import Solutions
-from ikjax.solvers.context import in_bits
 from ikjax.solvers.families import FAMILIES
 from ikjax.solvers.pipeline import Slot, solve_scalars
 
@@ -38,22 +38,31 @@ Entries = tuple[tuple[jax.Array, ...], ...]
 
 
 def entries_of(goals: jax.Array) -> Entries:
-    """Of goals (..., 4, 4)."""
+    """The entries of goals (..., 4, 4)."""
     return tuple(tuple(goals[..., i, j] for j in range(4)) for i in range(4))
 
 
-def slots_of(arm: Arm, entries: Entries, q_now, tolerance) -> tuple[Slot, ...]:
-    """Measured slots of goals, each field one array (...)."""
+def slots_of(
+    arm: Arm, entries: Entries, q_now: jax.Array | None, pose_tolerance: float | None
+) -> tuple[Slot, ...]:
+    """Every slot of every goal, measured by forward kinematics; each field is one array (...).
+
+    Args:
+        arm: An arm with a family.
+        entries: The goals' numbers.
+        q_now: (..., n) joint values for joints that are arbitrary; zero where it is None.
+        pose_tolerance: See `solve`.
+    """
     rotation, position = tuple(row[:3] for row in entries[:3]), tuple(row[3] for row in entries[:3])
     goal, proper = clean(Pose(rotation, position), reach(arm))
     for entry, wanted in zip(entries[3], (0, 0, 0, 1), strict=True):
         proper &= entry == wanted
-    now = None if q_now is None else tuple(q_now[..., i] for i in range(arm.n))
-    slots = solve_scalars(arm, goal, now, tolerance)
-    # What stands for a goal that is no pose is as far off as can be, and nothing moves it.
+    fallback = None if q_now is None else tuple(q_now[..., i] for i in range(arm.n))
+    slots = solve_scalars(arm, goal, fallback, pose_tolerance)
+    # A goal that is no pose gets the largest errors, without derivatives.
     size = jax.lax.stop_gradient(jnp.asarray(reach(arm), entries[0][3].dtype))
 
-    def known(slot: Slot) -> Slot:
+    def masked(slot: Slot) -> Slot:
         return slot._replace(
             valid=slot.valid & proper,
             margin=jnp.where(proper, slot.margin, -size),
@@ -63,24 +72,24 @@ def slots_of(arm: Arm, entries: Entries, q_now, tolerance) -> tuple[Slot, ...]:
             is_pose=proper,
         )
 
-    return tuple(map(known, slots))
+    return tuple(map(masked, slots))
 
 
 def is_small(arm: Arm) -> bool:
-    """Whether the arm's kernel can be one fused loop: not where its zeros and ones are not known."""
+    """Whether the arm's kernel can be one fused loop. It cannot where the arm's zeros and ones are traced."""
     return FAMILIES[str(arm.family)].small and arm.correction is None and not is_traced(arm)
 
 
 def jit_with_arm(f: Callable[..., Any]) -> Callable[..., Any]:
-    """`jax.jit` of f(arm, *arrays) to which an arm stays known that is.
+    """`jax.jit` of f(arm, *arrays) in which those of the arm's numbers that are known stay known.
 
     Called eagerly, one program serves all arms of the same zeros, ones and twists. Within an outer jit, or
-    under `grad` and `vmap`, all leaves that are not traced are constants.
+    under `grad` and `vmap`, all leaves that are not traced are constants of the program.
     """
 
     @functools.partial(jax.jit, static_argnums=0, inline=True)
     def of_known(known, rest, *arrays):
-        # A program of its own, which other callers use again: nothing of the caller's policy enters it.
+        # Other callers use this program again, so the caller's pinning must not enter it.
         with pinning(None):
             return f(Arm.join(known, rest), *arrays)
 
@@ -91,28 +100,29 @@ def jit_with_arm(f: Callable[..., Any]) -> Callable[..., Any]:
     return call
 
 
-def solve_here(arm: Arm, goals: jax.Array, q_now, tolerance) -> Solutions:
-    """`Solutions` as a plain elementwise graph."""
+def solve_inline(
+    arm: Arm, goals: jax.Array, q_now: jax.Array | None, pose_tolerance: float | None
+) -> Solutions:
+    """`Solutions` of goals (..., 4, 4) as a plain elementwise graph, without derivatives."""
     entries, policy = entries_of(goals), divider(goals[..., 0, 3])
     if not is_small(arm):
         with pinning(policy):
-            return gathered(slots_of(arm, entries, q_now, tolerance), goals.shape[:-2])
+            return gathered(slots_of(arm, entries, q_now, pose_tolerance), goals.shape[:-2])
     roots = AgreedRoots(policy)
-    # XLA would otherwise see what the roots and the masks have in common, and store all of it.
-    one = opaque_one(goals[..., 0, 3])
-    apart = tuple(tuple(x * one for x in row) for row in entries)
+    hidden_entries = hidden(entries, goals[..., 0, 3])
     with pinning(None), roots.recorded():
-        slots_of(arm, apart, q_now, tolerance)
+        slots_of(arm, hidden_entries, q_now, pose_tolerance)
     with pinning(None), roots.replayed():
-        free = slots_of(arm, entries, q_now, tolerance)
+        unpinned = slots_of(arm, entries, q_now, pose_tolerance)
     with pinning(policy), roots.replayed():
-        pinned = slots_of(arm, entries, q_now, tolerance)
-    masks = {name: _mask([getattr(slot, name) for slot in free], goals) for name in ("valid", "continuum")}
+        pinned = slots_of(arm, entries, q_now, pose_tolerance)
+    flags = {name: [getattr(slot, name) for slot in unpinned] for name in ("valid", "continuum")}
+    masks = {name: _mask(values, goals) for name, values in flags.items()}
     return gathered(pinned, goals.shape[:-2], **masks)
 
 
 def gathered(slots: tuple[Slot, ...], shape: tuple[int, ...], **instead: jax.Array) -> Solutions:
-    """The slots as `Solutions` with batch axes `shape`; fields given in `instead` are not gathered."""
+    """The slots as `Solutions` with batch axes `shape`; fields in `instead` replace those of the slots."""
 
     def gather(values):
         return jnp.stack([jnp.broadcast_to(v, shape) for v in values], axis=-1)
@@ -123,12 +133,7 @@ def gathered(slots: tuple[Slot, ...], shape: tuple[int, ...], **instead: jax.Arr
 
 
 def _mask(flags: list[jax.Array], goals: jax.Array) -> jax.Array:
-    """Flags (...) as one array (..., S), through one number a goal.
-
-    A stack of eight fused kernels would be computed by eight branches, in scalars; a number that all
-    entries need is computed once, in one loop. XLA on a CPU keeps such a loop whole up to some 2,000
-    instructions; beyond, it computes shared values again and again (a test counts them).
-    """
-    code = divider(goals[..., 0, 3])(jnp.broadcast_to(in_bits(flags, goals.dtype), goals.shape[:-2]))
+    """S flags (...) as one array (..., S), read from the bits of one number for each goal."""
+    code = through_one_number(flags, goals, goals.shape[:-2], divider(goals[..., 0, 3]))
     places = jnp.arange(len(flags), dtype=jnp.int32).reshape((1,) * (goals.ndim - 2) + (-1,))
-    return (code.astype(jnp.int32)[..., None] >> places & 1) == 1
+    return (code[..., None] >> places & 1) == 1

@@ -1,14 +1,15 @@
-"""What comes first in a nearest pose: neither, the point, or the orientation.
+"""Which error of a nearest pose comes first: neither, the position or the orientation.
 
-First the one error as small as can be, then the other as small as that allows. With the second
-worth a share s of the first, the bottom q(s) of their sum moves smoothly to that pose as s goes to zero; so
-the share is eased down stage by stage, each going on from where the last one ended, and the straight line
-through the last two bottoms is followed to share zero, by all joints but those that a limit holds back. What
-is then left of the first error is of the order of the product of the last two shares, where a penalty alone
-would leave the last share.
+With a priority, the first error is made as small as possible, and then the second as small as that allows
+(lexicographic optimization). This is solved by continuation. With the second error weighted by w against the
+first, the minimizer q(w) of their weighted sum moves smoothly to the wanted pose as w goes to zero. So w is
+reduced stage by stage, and each stage starts where the last one ended. After the last stage, the straight
+line through the last two minimizers is extrapolated to w = 0, for all joints but those at an active bound.
+The error that is left in the first term is then of the order of the product of the last two weights; a
+penalty alone would leave one of the order of the last weight.
 
-At full stretch a tool point off the last axis leaves bottoms that lie close together, of which either may be
-taken: that the best start is the best of all poses is not proved here either.
+At full stretch a tool point off the last axis has minima that lie close together, and either of them may be
+taken. It is not proved here that the best start leads to the best of all poses.
 
 Source: penalties and their extrapolation after Fiacco and McCormick, Nonlinear Programming (1968), chapter 5.
 """
@@ -24,102 +25,131 @@ from ikjax.core.pose import Pose
 from ikjax.core.tolerances import CONVERGED, CURVATURE_FLOOR, LAST_WEIGHT, SAME_COST, SAME_ERROR
 from ikjax.core.trig import Scalar
 from ikjax.ik import newton
-from ikjax.ik.newton import Joints, State, Wish
+from ikjax.ik.newton import Evaluation, Joints, Objective, State
 from ikjax.ik.results import Projection
 from ikjax.solvers.pipeline import TURNING
 
 PRIORITIES = ("weighted", "position", "orientation")
 
 
-EASE = {"float32": 10.0, "float64": 100.0}
-"""By how much it is worth less from stage to stage."""
+WEIGHT_RATIO = {"float32": 10.0, "float64": 100.0}
+"""The weight of the second error is divided by this from stage to stage."""
 
 STAGES = 3
 
 
-def checked(arm: Arm, priority: str) -> str:
-    """The priority, where the arm's task has two terms at all."""
+def checked_priority(arm: Arm, priority: str) -> str:
+    """The priority; "weighted" for an arm whose task has one error only.
+
+    Raises:
+        ValueError: An unknown priority.
+    """
     if priority not in PRIORITIES:
         raise ValueError(f"priority must be one of {', '.join(PRIORITIES)}, got {priority!r}")
     return priority if arm.task in TURNING else "weighted"
 
 
-def wish(arm: Arm, goal: Pose, length: Scalar, priority: str, share: Scalar | None = None) -> Wish:
-    """What the steps go down on; `share` is the last one unless given."""
+def objective_of(
+    arm: Arm, goal: Pose, characteristic_length: Scalar, priority: str, weight: Scalar | None = None
+) -> Objective:
+    """What the Newton steps minimize.
+
+    Args:
+        arm: The arm.
+        goal: T_world_tool.
+        characteristic_length: Used by "weighted" only; with a priority a radian counts as one reach.
+        priority: One of `PRIORITIES`.
+        weight: Of the square of the second error; that of the last stage by default.
+    """
     if priority == "weighted":
-        return Wish(goal, length)
+        return Objective(goal, characteristic_length)
     dtype = goal.position[0].dtype
-    share = jnp.asarray(LAST_WEIGHT[dtype.name] if share is None else share, dtype)
-    floor, size = CURVATURE_FLOOR * jnp.where(share > 0, share, 1), reach(arm)
+    weight = jnp.asarray(LAST_WEIGHT[dtype.name] if weight is None else weight, dtype)
+    floor, size = CURVATURE_FLOOR * jnp.where(weight > 0, weight, 1), reach(arm)
     if priority == "position":
-        return Wish(goal, size * jnp.sqrt(share), 1.0, floor)
-    return Wish(goal, size, share, floor)
-
-
-def in_order(near, priority: str):
-    """The first error and the second of what has `gap` and `angle`."""
-    return (near.gap, near.angle) if priority == "position" else (near.angle, near.gap)
+        return Objective(goal, size * jnp.sqrt(weight), 1.0, floor)
+    return Objective(goal, size, weight, floor)
 
 
 def descend(
-    arm: Arm, goal: Pose, length: Scalar, priority: str, q, steps, damping
+    arm: Arm, goal: Pose, characteristic_length: Scalar, priority: str, q: Joints, steps, damping
 ) -> tuple[State, Scalar, Joints]:
-    """So many steps, or as many in each stage: where they end, how steep it is, and the last sum's bottom."""
+    """Take `steps` Newton steps, or as many in each stage of a priority.
+
+    Arguments as in `objective_of` and `newton.descend`.
+
+    Returns:
+        The last state; the gradient norm there; and the minimizer of the last weighted sum, at which
+        derivatives are taken (`ik.project_gradient`).
+    """
     if priority == "weighted":
-        state = newton.descend(arm, wish(arm, goal, length, priority), q, steps, damping)
-        return state, newton.steepness(arm, state.q, state.at), state.q
-    return _staged(arm, lambda share: wish(arm, goal, length, priority, share), priority, q, steps)
+        objective = objective_of(arm, goal, characteristic_length, priority)
+        state = newton.descend(arm, objective, q, steps, damping)
+        return state, newton.projected_gradient_norm(arm, state.q, state.evaluation), state.q
+
+    def weighted_by(weight: Scalar) -> Objective:
+        return objective_of(arm, goal, characteristic_length, priority, weight)
+
+    return _descend_in_stages(arm, weighted_by, priority, q, steps)
 
 
-def _staged(
-    arm: Arm, wish_of: Callable[[Scalar], Wish], priority: str, q, steps
+def _descend_in_stages(
+    arm: Arm, weighted_by: Callable[[Scalar], Objective], priority: str, q: Joints, steps
 ) -> tuple[State, Scalar, Joints]:
+    """The stages of a priority, and one last iteration of the same loop from the extrapolated joints."""
     dtype, zero = q[0].dtype, jnp.zeros_like(q[0])
-    last, ease = (jnp.asarray(x[dtype.name], dtype) for x in (LAST_WEIGHT, EASE))
-    allowed = CONVERGED[dtype.name]
+    last_weight, ratio = (jnp.asarray(x[dtype.name], dtype) for x in (LAST_WEIGHT, WEIGHT_RATIO))
+    tolerance = CONVERGED[dtype.name]
 
     def stage(k, carried):
-        before, q, at, flat = carried
-        # The round after the last stage goes on from where the line leads, on the first error alone.
-        extra, settled = k == STAGES, flat <= allowed
-        share = last * ease ** (STAGES - 1 - k).astype(dtype)
-        ahead = tuple(
-            jnp.clip(x + (x - y) / (ease - 1), low, high)
-            for x, y, (low, high) in zip(q, before, newton.bounds(arm), strict=True)
+        q_before, q, here, gradient_norm = carried
+        # The iteration after the last stage starts where the line leads, and looks at the first error alone.
+        is_final, converged = k == STAGES, gradient_norm <= tolerance
+        weight = last_weight * ratio ** (STAGES - 1 - k).astype(dtype)
+        extrapolated = tuple(
+            jnp.clip(x + (x - y) / (ratio - 1), low, high)
+            for x, y, (low, high) in zip(q, q_before, newton.bounds(arm), strict=True)
         )
-        # Joints at a limit stay there: the first error alone would rather have them off it.
-        still = tuple(extra & back for back in newton.held_back(arm, q, at.slope))
+        # Joints at an active bound stay there: the first error alone would move them off it.
+        fixed = tuple(is_final & bound for bound in newton.active_bounds(arm, q, here.gradient))
         start = tuple(
-            jnp.where(extra & settled & ~held, x, y) for x, y, held in zip(ahead, q, still, strict=True)
+            jnp.where(is_final & converged & ~f, x, y) for x, y, f in zip(extrapolated, q, fixed, strict=True)
         )
-        damping = zero + newton.FIRST_DAMPING * share
-        asked = wish_of(jnp.where(extra, 0, share))._replace(still=still)
-        state = newton.descend(arm, asked, start, steps, damping)
-        steep = newton.steepness(arm, state.q, state.at) / jnp.sqrt(share)
-        nearer = in_order(state.at, priority)[0] <= in_order(at, priority)[0]
-        take = ~extra | nearer
-        now = jax.tree.map(lambda new, old: jnp.where(take, new, old), (state.q, state.at), (q, at))
-        return q, *now, jnp.where(extra, flat, steep)
+        damping = zero + newton.FIRST_DAMPING * weight
+        objective = weighted_by(jnp.where(is_final, 0, weight))._replace(fixed=fixed)
+        state = newton.descend(arm, objective, start, steps, damping)
+        norm = newton.projected_gradient_norm(arm, state.q, state.evaluation) / jnp.sqrt(weight)
+        nearer = _first_error(state.evaluation, priority) <= _first_error(here, priority)
+        accepted = ~is_final | nearer
+        result = jax.tree.map(
+            lambda new, old: jnp.where(accepted, new, old), (state.q, state.evaluation), (q, here)
+        )
+        return q, *result, jnp.where(is_final, gradient_norm, norm)
 
-    carried = (zero,) * arm.n, q, newton.nowhere(arm, zero), zero
-    bottom, q, at, flat = jax.lax.fori_loop(0, STAGES + 1, stage, carried)
-    return State(q, at, zero + newton.FIRST_DAMPING), flat, bottom
+    carried = (zero,) * arm.n, q, newton.worst_evaluation(arm, zero), zero
+    last_minimizer, q, here, gradient_norm = jax.lax.fori_loop(0, STAGES + 1, stage, carried)
+    return State(q, here, zero + newton.FIRST_DAMPING), gradient_norm, last_minimizer
 
 
-def best(arm: Arm, branches: Projection, priority: str) -> jax.Array:
-    """The first start (...) that has least, but for rounding, of what (..., S) have."""
+def _first_error(here: Evaluation, priority: str) -> Scalar:
+    return here.distance if priority == "position" else here.angle
+
+
+def best_start(arm: Arm, branches: Projection, priority: str) -> jax.Array:
+    """Index (...) of the best of the starts (..., S); of starts that are equal to rounding, the first."""
     name = branches.q.dtype.name
     rounding = 16 * float(jnp.finfo(name).eps)
     if priority == "weighted":
         return jnp.argmax(_least(branches.cost, SAME_COST[name], (rounding * reach(arm)) ** 2), axis=-1)
-    first, second, size, other = branches.rotation_error, branches.position_error, 1, reach(arm)
+    # A second error counts as zero below rounding times its unit: a radian, or the reach.
+    first, second, first_unit, second_unit = branches.rotation_error, branches.position_error, 1, reach(arm)
     if priority == "position":
-        first, second, size, other = second, first, other, size
-    candidates = jnp.where(_least(first, 0, SAME_ERROR[name] * size), second, jnp.inf)
-    return jnp.argmax(_least(candidates, SAME_COST[name], rounding * other), axis=-1)
+        first, second, first_unit, second_unit = second, first, second_unit, first_unit
+    candidates = jnp.where(_least(first, 0, SAME_ERROR[name] * first_unit), second, jnp.inf)
+    return jnp.argmax(_least(candidates, SAME_COST[name], rounding * second_unit), axis=-1)
 
 
-def _least(values: jax.Array, share: float, slack: Scalar) -> jax.Array:
-    """Which values (..., S) are the least, to a share of it and some more."""
+def _least(values: jax.Array, relative: float, absolute: Scalar) -> jax.Array:
+    """Which values (..., S) are the least, up to a relative and an absolute tolerance."""
     values = jnp.where(jnp.isfinite(values), values, jnp.inf)
-    return values <= (1 + share) * jnp.min(values, axis=-1, keepdims=True) + slack
+    return values <= (1 + relative) * jnp.min(values, axis=-1, keepdims=True) + absolute

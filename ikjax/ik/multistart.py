@@ -1,9 +1,12 @@
-"""Many starts down to the nearest pose: where they stand, how they go down, which of them is taken.
+"""Multistart descent to the nearest pose: the starts, the descent of each, and the choice of the best.
 
-Starts are the branches of the closed form; limits, and joints too few, make basins that no branch leads to,
-so others stand at limits (`at_limits`) or spread over them (`scattered`). Each takes Newton steps
-(`ik.newton`). Called eagerly, all starts take a few steps, and those that have not converged take more in
-rounds.
+The starts are the branches of the closed form. Limits, and joints too few, make basins that no branch leads
+to: further starts have a joint at a limit (`starts_at_limits`) or are spread over the limits
+(`scattered_starts`). Each start takes Newton steps (`ik.newton`), in stages where one error comes first
+(`ik.lexicographic`).
+
+`descend_all` is what `project` and `refine` call. Inside a jit every start takes all steps, in one program.
+Called eagerly, all starts take a few steps, and only those that have not converged take more, in rounds.
 """
 
 import dataclasses
@@ -12,6 +15,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import reach, whole_turns
@@ -19,62 +23,98 @@ from ikjax.core.known import as_array, is_traced, stop_gradient
 from ikjax.core.pose import Pose, nearest_pose
 from ikjax.core.tolerances import CONVERGED, NEARLY_ROTATION
 from ikjax.core.trig import Scalar
-from ikjax.core.xla import Pin, divider_once, pinning
-from ikjax.ik import batched, newton
-from ikjax.ik import lexicographic as priorities
+from ikjax.core.xla import Pin, divider_once, one_by_one, pinning, to_columns, to_rows
+from ikjax.ik import batched, lexicographic, newton
 from ikjax.ik.inline import Entries, entries_of
-from ikjax.ik.newton import bounds
-from ikjax.ik.project_gradient import with_slopes
+from ikjax.ik.newton import Joints, bounds
+from ikjax.ik.project_gradient import with_derivatives
 from ikjax.ik.results import Projection
 from ikjax.ik.solve import as_goals
 from ikjax.ik.turns import TURN
-from ikjax.solvers.pipeline import proposed, proposed_at_ends
+from ikjax.solvers.pipeline import proposed, proposed_at_limits
 
 STEPS = 60
+"""Newton steps of `project` and `refine`, at most."""
 
-FIRST = 6
-"""Steps that every start of an eager call takes; those not down yet take as many again, and so on."""
+FIRST_STEPS = 6
+"""Steps that every start of an eager call takes. Those that have not converged take as many again, and so
+on."""
 
 FIELDS = ("cost", "position_error", "rotation_error", "gradient_norm", "converged")
 
 
-def at_limits(arm: Arm, goals: jax.Array) -> jax.Array:
+def checked_arguments(arm: Arm, goals, characteristic_length, steps: int) -> tuple[jax.Array, Arm]:
+    """Goals as an array (..., 4, 4), and the arm in their type.
+
+    Raises:
+        ValueError: Naming the argument that is wrong.
+    """
+    goals = as_goals(goals)
+    if not isinstance(steps, int | np.integer) or steps < 0:
+        raise ValueError(f"steps must be a whole number, not negative, got {steps!r}")
+    if np.ndim(characteristic_length) or (
+        not isinstance(characteristic_length, jax.core.Tracer)
+        and not 0 < float(characteristic_length) < np.inf
+    ):
+        raise ValueError(
+            f"characteristic_length must be a positive number of metres, got {characteristic_length}"
+        )
+    return goals, arm.baked().astype(goals.dtype)
+
+
+# The starts.
+
+
+def closed_form_starts(arm: Arm, goal: Pose, policy: Pin) -> Joints:
+    """The joints of every branch of the closed form, each (S, ...).
+
+    Args:
+        arm: An arm with a family.
+        goal: T_world_tool.
+        policy: Pins values that have the shape of the goal's numbers.
+    """
+    shape = goal.position[0].shape
+    with pinning(policy):
+        columns = zip(*proposed(arm, goal), strict=True)
+    return tuple(jnp.stack([jnp.broadcast_to(x, shape) for x in column]) for column in columns)
+
+
+def starts_at_limits(arm: Arm, goals: jax.Array) -> jax.Array:
     """Starts with a joint at a limit by the closed form, (..., S, n), for an arm whose family has them.
 
-    Each joint that the family may hold, at each of its limits, with every branch of the rest; and of these
-    and of the branches the same with the last joint at that limit which is further off: on both sides of the
-    gap in its range there is a basin.
+    Each joint that the family can fix is put at each of its limits, with every branch of the rest. Each of
+    these, and each branch, is taken once more with the last joint at the limit that is farther off: there is
+    a basin on both sides of the gap in its range.
     """
     if not is_traced((arm, goals)):
-        found = batched.in_blocks(_AtLimits(), arm, goals.reshape(-1, 4, 4))
-        return found.reshape(*goals.shape[:-2], *found.shape[1:])
+        starts = batched.map_blocks(_StartsAtLimitsBlock(), arm, goals.reshape(-1, 4, 4))
+        return starts.reshape(*goals.shape[:-2], *starts.shape[1:])
     arm, goals = stop_gradient((arm, goals))
-    rows = _at_limits(arm.baked(), entries_of(goals))
+    rows = _starts_at_limits(arm.baked(), entries_of(goals))
     return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 @dataclasses.dataclass(frozen=True)
-class _AtLimits:
-    """A block of goals."""
+class _StartsAtLimitsBlock:
+    """`starts_at_limits` of one block of goals."""
 
     def __call__(self, arm: Arm, goals: jax.Array) -> jax.Array:
-        columns = batched.columns_of(goals)
-        rows = _at_limits(arm, tuple(tuple(columns[4 * i + j] for j in range(4)) for i in range(4)))
-        return batched.packed([x for row in rows for x in row]).reshape(-1, len(rows), arm.n)
+        rows = _starts_at_limits(arm, batched.entries_in(goals))
+        return to_rows([x for row in rows for x in row], batched.BLOCK).reshape(-1, len(rows), arm.n)
 
 
-def _at_limits(arm: Arm, entries: Entries) -> list[tuple[jax.Array, ...]]:
-    goal, _, policy = asked(arm, entries)
+def _starts_at_limits(arm: Arm, entries: Entries) -> list[tuple[jax.Array, ...]]:
+    goal, _, policy = nearest_goal(arm, entries)
     shape = goal.position[0].shape
     with pinning(policy):
-        ends, branches = proposed_at_ends(arm, goal), proposed(arm, goal)
+        at_limits, branches = proposed_at_limits(arm, goal), proposed(arm, goal)
     low, high = bounds(arm)[-1]
-    rows = [*ends, *((*q[:-1], _further(q[-1], low, high)) for q in [*branches, *ends])]
-    return [tuple(policy(jnp.broadcast_to(x, shape)) for x in q) for q in rows]
+    across = ((*q[:-1], _farther_limit(q[-1], low, high)) for q in [*branches, *at_limits])
+    return [tuple(policy(jnp.broadcast_to(x, shape)) for x in q) for q in [*at_limits, *across]]
 
 
-def _further(x: Scalar, low: Scalar, high: Scalar) -> Scalar:
-    """The limit further off round the circle; without limits the opposite angle."""
+def _farther_limit(x: Scalar, low: Scalar, high: Scalar) -> Scalar:
+    """The limit that is farther off round the circle; without limits the opposite angle."""
     low, high = (jnp.asarray(limit, x.dtype) for limit in (low, high))
     limited = jnp.isfinite(low) & jnp.isfinite(high)
     middle = jnp.where(limited, low / 2 + high / 2, 0)
@@ -83,11 +123,11 @@ def _further(x: Scalar, low: Scalar, high: Scalar) -> Scalar:
     return jnp.where(limited, jnp.where(away < 0, high, low), opposite)
 
 
-def ranges(arm: Arm) -> tuple[jax.Array, jax.Array]:
-    """Lower and upper end (n,) of the values from which joints are drawn, within the limits.
+def sampling_ranges(arm: Arm) -> tuple[jax.Array, jax.Array]:
+    """Lower and upper end (n,) of the values from which joints are drawn, within the limits [rad, m].
 
-    All that lies between two limits, but for what turns round: there a whole turn in the middle. From one
-    limit alone a whole turn on, or two reaches; without any as much about zero.
+    Between two limits the whole range; of a joint whose whole turn leaves the pose, one turn in the middle of
+    it. From a single limit one turn, or two reaches for a slide; without limits as much, about zero.
     """
     low, high = (jnp.asarray(arm.limits)[:, k] for k in (0, 1))
     size = jnp.asarray(reach(arm), arm.dtype)
@@ -101,8 +141,8 @@ def ranges(arm: Arm) -> tuple[jax.Array, jax.Array]:
     return jnp.maximum(low, middle - half), jnp.minimum(high, middle + half)
 
 
-def scattered(arm: Arm, batch: tuple[int, ...], count: int):
-    """Joints spread evenly over the limits, the same for every goal, (..., S, n).
+def scattered_starts(arm: Arm, batch: tuple[int, ...], count: int) -> jax.Array:
+    """A low-discrepancy sequence of joints in `sampling_ranges`, (*batch, count, n), the same for all goals.
 
     Source: the additive recurrence R_d of Roberts, The unreasonable effectiveness of quasirandom
     sequences (2018).
@@ -111,92 +151,239 @@ def scattered(arm: Arm, batch: tuple[int, ...], count: int):
     for _ in range(64):
         root = (1 + root) ** (1 / (arm.n + 1))
     shares = np.outer(np.arange(1, count + 1), root ** -np.arange(1.0, arm.n + 1)) % 1
-    low, high = (end[None] for end in ranges(arm))
+    low, high = (end[None] for end in sampling_ranges(arm))
     starts = low + (high - low) * jnp.asarray(shares, arm.dtype)
     return jnp.broadcast_to(starts, (*batch, *starts.shape))
 
 
-def checked(arm: Arm, goals, length, steps: int) -> tuple[jax.Array, Arm]:
-    goals = as_goals(goals)
-    if not isinstance(steps, int | np.integer) or steps < 0:
-        raise ValueError(f"steps must be a whole number, not negative, got {steps!r}")
-    if np.ndim(length) or (not isinstance(length, jax.core.Tracer) and not 0 < float(length) < np.inf):
-        raise ValueError(f"characteristic_length must be a positive number of metres, got {length}")
-    return goals, arm.baked().astype(goals.dtype)
+# The descent.
 
 
-def best_of(arm: Arm, goals, branches: Projection, priority: str = "weighted") -> Projection:
-    """The start that came out lowest, the first of several that are level, and all of them."""
-    best = priorities.best(arm, branches, priority)
-
-    def pick(x: jax.Array) -> jax.Array:
-        index = best.reshape(*best.shape, *[1] * (x.ndim - best.ndim))
-        return jnp.take_along_axis(x, index, axis=best.ndim).squeeze(best.ndim)
-
-    fields = {k: pick(x) for k, x in vars(branches).items() if x is not None}
-    return Projection(**fields, goal_error=goal_error(goals), branches=branches)
-
-
-def descended(
-    arm: Arm, goals: jax.Array, starts, length, steps: int, priority: str = "weighted"
+def descend_all(
+    arm: Arm,
+    goals: jax.Array,
+    starts: jax.Array | None,
+    characteristic_length: ArrayLike,
+    steps: int,
+    priority: str = "weighted",
 ) -> Projection:
-    """Every start (..., S, n) after its steps, fields (..., S); the closed form's own where it is None."""
-    length = as_array(length, goals.dtype)
+    """Every start after its descent, differentiable in the arm and the goals.
+
+    Args:
+        arm: The arm, baked and in the type of the goals.
+        goals: T_world_tool, (..., 4, 4).
+        starts: (..., S, n); None for the branches of the closed form.
+        characteristic_length: Length that counts as much as one radian [m].
+        steps: Newton steps at most, of each stage.
+        priority: See `refine`.
+
+    Returns:
+        `Projection` with fields (..., S).
+    """
+    length = as_array(characteristic_length, goals.dtype)
     if not is_traced((arm, goals, starts, length)):
-        return _in_blocks(arm, goals, starts, length, steps, priority)
-    still = stop_gradient((arm, goals, starts, length))
-    arm_still = still[0].baked()
-    columns = None if starts is None else tuple(still[2][..., i] for i in range(arm.n))
+        return _descend_in_blocks(arm, goals, starts, length, steps, priority)
+    fixed_arm, fixed_goals, fixed_starts, fixed_length = stop_gradient((arm, goals, starts, length))
+    fixed_arm = fixed_arm.baked()
+    columns = None if fixed_starts is None else tuple(fixed_starts[..., i] for i in range(arm.n))
     if columns is not None:
         columns = tuple(jnp.moveaxis(x, -1, 0) for x in columns)
-    entries = entries_of(still[1])
+    entries = entries_of(fixed_goals)
     if columns is None and steps == 0:
-        found = jax.tree.map(lambda *slots: jnp.stack(slots), *closed(arm_still, entries, still[3]))
+        slots = closed_form(fixed_arm, entries, fixed_length)
+        ends = jax.tree.map(lambda *slots: jnp.stack(slots), *slots)
     else:
-        goal, proper, policy = asked(arm_still, entries)
-        columns = proposals(arm_still, goal, policy) if columns is None else columns
-        found = from_starts(arm_still, goal, proper, columns, still[3], steps, None, priority)
-    shape = found.cost.shape
+        goal, proper, policy = nearest_goal(fixed_arm, entries)
+        columns = closed_form_starts(fixed_arm, goal, policy) if columns is None else columns
+        ends = descend_starts(fixed_arm, goal, proper, columns, fixed_length, steps, None, priority)
+    shape = ends.cost.shape
 
-    def rows(x):
+    def starts_last(x):
         return jnp.moveaxis(jnp.broadcast_to(x, shape), 0, -1)
 
-    q, bottom = (jnp.stack([rows(x) for x in joints], axis=-1) for joints in (found.q, found.bottom))
-    fields = {name: rows(getattr(found, name)) for name in FIELDS}
-    q, errors = with_slopes(arm, goals, q, bottom, length, fields["converged"], priority)
+    q, minimizer = (
+        jnp.stack([starts_last(x) for x in joints], axis=-1) for joints in (ends.q, ends.minimizer)
+    )
+    fields = {name: starts_last(getattr(ends, name)) for name in FIELDS}
+    q, errors = with_derivatives(arm, goals, q, minimizer, length, fields["converged"], priority)
     return Projection(q=q, **{**fields, **errors})
 
 
-class Found(NamedTuple):
-    """Of `Projection`, starts first."""
+def _descend_in_blocks(
+    arm: Arm, goals: jax.Array, starts: jax.Array | None, length, steps: int, priority: str
+) -> Projection:
+    """`descend_all` of an eager call, arguments as there: without derivatives, and in rounds."""
+    batch, goals = goals.shape[:-2], goals.reshape(-1, 4, 4)
+    length = jnp.broadcast_to(length, (goals.shape[0], 1))
+    if starts is None and steps == 0:
+        ends = batched.map_blocks(_ClosedFormBlock(), arm, (goals, length))
+        return Projection(**{name: x.reshape(*batch, *x.shape[1:]) for name, x in ends.items()})
+    if starts is not None:
+        starts = starts.reshape(-1, *starts.shape[-2:])
+    first = jnp.full(length.shape, min(steps, FIRST_STEPS), jnp.int32)
+    block = _DescentBlock(priority)
+    ends = batched.map_blocks(block, arm, (goals, length, first, starts, None))
+    done = FIRST_STEPS
+    while done < steps:
+        unfinished = np.nonzero(~np.asarray(ends["converged"]))
+        if not unfinished[0].size:
+            break
+        # Few starts are left after each round, and all of a block take as many steps.
+        more = done if 3 * done < steps else steps - done
+        row, slot = (jnp.asarray(x) for x in unfinished)
+        q, damping = ends["q"][row, slot][:, None], ends["damping"][row, slot][:, None]
+        round_steps = jnp.full((*row.shape, 1), more, jnp.int32)
+        rest = batched.map_blocks(block, arm, (goals[row], length[row], round_steps, q, damping))
+        ends = {name: x.at[row, slot].set(rest[name][:, 0]) for name, x in ends.items()}
+        done += more
+    del ends["damping"]
+    return Projection(**{name: x.reshape(*batch, *x.shape[1:]) for name, x in ends.items()})
 
-    q: tuple
+
+@dataclasses.dataclass(frozen=True)
+class _DescentBlock:
+    """All starts of one block of goals.
+
+    Its rows are goals (N, 4, 4), the characteristic length (N, 1) and the steps (N, 1), alike in all rows,
+    the starts (N, S, n) or None for the branches, and their damping (N, S) or None for the first one.
+    """
+
+    priority: str
+
+    def __call__(self, arm: Arm, rows) -> dict[str, jax.Array]:
+        goals, length, steps, starts, damping = rows
+        entries = batched.entries_in(goals)
+        if starts is not None:
+            spread = to_columns(starts).reshape(*starts.shape[1:], -1)
+            starts = tuple(spread[:, i] for i in range(arm.n))
+            damping = None if damping is None else to_columns(damping)
+        goal, proper, policy = nearest_goal(arm, entries)
+        starts = closed_form_starts(arm, goal, policy) if starts is None else starts
+
+        def descend_one(start):
+            q, damping = jax.tree.map(lambda x: x[None], start)
+            row_length = length[None, :, 0]
+            end = descend_starts(arm, goal, proper, q, row_length, steps[0, 0], damping, self.priority)
+            return jax.tree.map(lambda x: x[0], end)
+
+        ends = one_by_one(descend_one, (starts, damping))
+        count = ends.cost.shape[0]
+        fields = {name: to_rows(list(getattr(ends, name)), batched.BLOCK) for name in (*FIELDS, "damping")}
+        q = to_rows([x[s] for s in range(count) for x in ends.q], batched.BLOCK)
+        return {**fields, "q": q.reshape(-1, count, arm.n)}
+
+
+@dataclasses.dataclass(frozen=True)
+class _ClosedFormBlock:
+    """The closed form alone, of one block of goals (N, 4, 4) with their characteristic length (N, 1)."""
+
+    def __call__(self, arm: Arm, rows) -> dict[str, jax.Array]:
+        goals, length = rows
+        entries = batched.entries_in(goals)
+        slots = closed_form(arm, entries, length[:, 0])
+        fields = {name: to_rows([getattr(slot, name) for slot in slots], batched.BLOCK) for name in FIELDS}
+        q = to_rows([x for slot in slots for x in slot.q], batched.BLOCK)
+        return {**fields, "q": q.reshape(-1, len(slots), arm.n)}
+
+
+class Descent(NamedTuple):
+    """Where starts ended. Fields as of `Projection`, but with the starts as the first axis, (S, ...)."""
+
+    q: Joints
     cost: jax.Array
     position_error: jax.Array
     rotation_error: jax.Array
     gradient_norm: jax.Array
     converged: jax.Array
     damping: jax.Array
-    bottom: tuple
-    """Joints at which the slopes are taken."""
+    minimizer: Joints
+    """Joints at which derivatives are taken: q, or with a priority the minimizer of the last weighted sum."""
 
 
-def closed(arm: Arm, entries: Entries, length) -> list[Found]:
-    """Every slot of the closed form within the limits, each by itself: a stack of them would be computed
-    number by number."""
-    goal, proper, policy = asked(arm, entries)
+def closed_form(arm: Arm, entries: Entries, characteristic_length) -> list[Descent]:
+    """Every branch of the closed form, moved into the limits and measured, without a step.
+
+    A list with fields (...) for each branch: a stack of them would be computed number by number.
+    """
+    goal, proper, policy = nearest_goal(arm, entries)
     shape, slots = goal.position[0].shape, []
     with pinning(policy):
         branches = proposed(arm, goal)
     for q in branches:
-        clamped = tuple(policy(jnp.broadcast_to(x, shape)) for x in newton.into_limits(arm, q))
-        found = _from_starts(arm, goal, proper, clamped, length, 0, None, "weighted", policy)
-        slots.append(found._replace(cost=policy(found.cost)))
+        inside = tuple(policy(jnp.broadcast_to(x, shape)) for x in newton.into_limits(arm, q))
+        end = _descend_within_limits(
+            arm, goal, proper, inside, characteristic_length, 0, None, "weighted", policy
+        )
+        slots.append(end._replace(cost=policy(end.cost)))
     return slots
 
 
-def asked(arm: Arm, entries: Entries):
-    """The nearest pose in scalars, whether there is one, and what pins numbers of its shape."""
+def descend_starts(
+    arm: Arm,
+    goal: Pose,
+    proper: jax.Array,
+    starts: Joints,
+    characteristic_length,
+    steps,
+    damping,
+    priority: str = "weighted",
+) -> Descent:
+    """All starts after their steps.
+
+    Args:
+        arm: The arm.
+        goal: T_world_tool, each number (...).
+        proper: Whether there is such a goal, (...).
+        starts: Joints, each (S, ...); moved into the limits first.
+        characteristic_length: Length that counts as much as one radian [m].
+        steps: Newton steps, of each stage; may be traced.
+        damping: That at which an earlier descent ended, or None.
+        priority: See `refine`.
+    """
+    starts = newton.into_limits(arm, starts)
+    goal = jax.tree.map(lambda x: x[None], goal)
+    return _descend_within_limits(
+        arm, goal, proper[None], starts, characteristic_length, steps, damping, priority, None
+    )
+
+
+def _descend_within_limits(
+    arm: Arm,
+    goal: Pose,
+    proper: jax.Array,
+    starts: Joints,
+    characteristic_length,
+    steps,
+    damping,
+    priority: str,
+    policy: Pin | None,
+) -> Descent:
+    """`descend_starts` of starts within the limits, whose shape the goal's numbers broadcast to."""
+    state, gradient_norm, minimizer = lexicographic.descend(
+        arm, goal, characteristic_length, priority, starts, steps, damping
+    )
+    gradient_norm = gradient_norm if policy is None else policy(gradient_norm)
+    here, size = state.evaluation, reach(arm)
+    trusted = newton.is_above_rounding(arm, goal, here, characteristic_length)
+    converged = proper & trusted & (gradient_norm <= CONVERGED[gradient_norm.dtype.name])
+    cost = size * size * here.cost
+    if priority != "weighted":
+        cost = (size * here.distance) ** 2 + (characteristic_length * here.angle) ** 2
+    # Nothing is measured against what stands for a goal that is no pose, and the arm does not move to it.
+    q = tuple(jnp.where(proper, x, y) for x, y in zip(state.q, starts, strict=True))
+    cost, position_error, rotation_error, gradient_norm = (
+        jnp.where(proper, x, jnp.nan) for x in (cost, size * here.distance, here.angle, gradient_norm)
+    )
+    return Descent(
+        q, cost, position_error, rotation_error, gradient_norm, converged, state.damping, minimizer
+    )
+
+
+def nearest_goal(arm: Arm, entries: Entries) -> tuple[Pose, jax.Array, Pin]:
+    """The pose nearest to a goal's numbers, whether it is near enough to stand for the goal, and a pin.
+
+    The pin is for values of the shape of the goal's numbers.
+    """
     goal, off = nearest_pose(entries, reach(arm))
     policy = divider_once(entries[0][3])
     return jax.tree.map(policy, goal), off <= NEARLY_ROTATION, policy
@@ -204,113 +391,23 @@ def asked(arm: Arm, entries: Entries):
 
 @jax.jit
 def goal_error(goals: jax.Array) -> jax.Array:
-    """By how much goals (..., 4, 4) are no poses, (...)."""
+    """By how much goals (..., 4, 4) are no poses, (...); see `Projection.goal_error`."""
     return jax.lax.stop_gradient(nearest_pose(entries_of(goals), 1.0)[1])
 
 
-def proposals(arm: Arm, goal: Pose, policy: Pin) -> tuple[jax.Array, ...]:
-    """The closed form's joints, each (S, ...)."""
-    shape = goal.position[0].shape
-    with pinning(policy):
-        columns = zip(*proposed(arm, goal), strict=True)
-    return tuple(jnp.stack([jnp.broadcast_to(x, shape) for x in column]) for column in columns)
+# The best.
 
 
-def from_starts(
-    arm: Arm, goal: Pose, proper, starts, length, steps, damping, priority: str = "weighted"
-) -> Found:
-    """All starts after their steps."""
-    starts = newton.into_limits(arm, starts)
-    goal = jax.tree.map(lambda x: x[None], goal)
-    return _from_starts(arm, goal, proper[None], starts, length, steps, damping, priority, None)
+def with_best(arm: Arm, goals: jax.Array, branches: Projection, priority: str = "weighted") -> Projection:
+    """The best of the starts, fields (...), with all of them as its `branches`, (..., S).
 
+    Of several that are equal to rounding, the first.
+    """
+    best = lexicographic.best_start(arm, branches, priority)
 
-def _from_starts(
-    arm: Arm, goal: Pose, proper, starts, length, steps, damping, priority: str, policy: Pin | None
-) -> Found:
-    """Starts within the limits; what stands for the goal has their shape."""
-    state, flat, bottom = priorities.descend(arm, goal, length, priority, starts, steps, damping)
-    flat = flat if policy is None else policy(flat)
-    at, size = state.at, reach(arm)
-    seen = newton.is_seen(arm, goal, at, length)
-    down = proper & seen & (flat <= CONVERGED[flat.dtype.name])
-    cost = size * size * at.cost
-    if priority != "weighted":
-        cost = (size * at.gap) ** 2 + (length * at.angle) ** 2
-    # Nothing is measured against what stands for a goal that is no pose, and the arm does not move to it.
-    q = tuple(jnp.where(proper, x, y) for x, y in zip(state.q, starts, strict=True))
-    cost, gap, angle, flat = (jnp.where(proper, x, jnp.nan) for x in (cost, size * at.gap, at.angle, flat))
-    return Found(q, cost, gap, angle, flat, down, state.damping, bottom)
+    def pick(x: jax.Array) -> jax.Array:
+        index = best.reshape(*best.shape, *[1] * (x.ndim - best.ndim))
+        return jnp.take_along_axis(x, index, axis=best.ndim).squeeze(best.ndim)
 
-
-@dataclasses.dataclass(frozen=True)
-class _Descending:
-    """A block of goals; each row holds what a radian is worth to it, and the steps, alike in all."""
-
-    priority: str
-
-    def __call__(self, arm: Arm, rows) -> dict[str, jax.Array]:
-        goals, length, steps, starts, damping = rows
-        columns = batched.columns_of(goals)
-        entries = tuple(tuple(columns[4 * i + j] for j in range(4)) for i in range(4))
-        if starts is not None:
-            spread = batched.columns_of(starts).reshape(*starts.shape[1:], -1)
-            starts = tuple(spread[:, i] for i in range(arm.n))
-            damping = None if damping is None else batched.columns_of(damping)
-        goal, proper, policy = asked(arm, entries)
-        starts = proposals(arm, goal, policy) if starts is None else starts
-
-        def of_one(start):
-            q, easing = jax.tree.map(lambda x: x[None], start)
-            worth = length[None, :, 0]
-            found = from_starts(arm, goal, proper, q, worth, steps[0, 0], easing, self.priority)
-            return jax.tree.map(lambda x: x[0], found)
-
-        # One start after the other: what lies between two steps of all of them is more than a cache holds.
-        found = jax.lax.map(of_one, (starts, damping))
-        count = found.cost.shape[0]
-        fields = {name: batched.packed(list(getattr(found, name))) for name in (*FIELDS, "damping")}
-        q = batched.packed([x[s] for s in range(count) for x in found.q])
-        return {**fields, "q": q.reshape(-1, count, arm.n)}
-
-
-@dataclasses.dataclass(frozen=True)
-class _Closed:
-    """A block of goals, the closed form alone."""
-
-    def __call__(self, arm: Arm, rows) -> dict[str, jax.Array]:
-        goals, length = rows
-        columns = batched.columns_of(goals)
-        entries = tuple(tuple(columns[4 * i + j] for j in range(4)) for i in range(4))
-        slots = closed(arm, entries, length[:, 0])
-        fields = {name: batched.packed([getattr(slot, name) for slot in slots]) for name in FIELDS}
-        q = batched.packed([x for slot in slots for x in slot.q])
-        return {**fields, "q": q.reshape(-1, len(slots), arm.n)}
-
-
-def _in_blocks(arm: Arm, goals: jax.Array, starts, length, steps: int, priority: str) -> Projection:
-    batch, flat = goals.shape[:-2], goals.reshape(-1, 4, 4)
-    worth = jnp.broadcast_to(length, (flat.shape[0], 1))
-    if starts is None and steps == 0:
-        found = batched.in_blocks(_Closed(), arm, (flat, worth))
-        return Projection(**{name: x.reshape(*batch, *x.shape[1:]) for name, x in found.items()})
-    if starts is not None:
-        starts = starts.reshape(-1, *starts.shape[-2:])
-    few = jnp.full(worth.shape, min(steps, FIRST), jnp.int32)
-    block = _Descending(priority)
-    found = batched.in_blocks(block, arm, (flat, worth, few, starts, None))
-    done = FIRST
-    while done < steps:
-        late = np.nonzero(~np.asarray(found["converged"]))
-        if not late[0].size:
-            break
-        # Few are left after each turn, and all of a block take as many steps.
-        more = done if 3 * done < steps else steps - done
-        at, slot = (jnp.asarray(x) for x in late)
-        q, damping = found["q"][at, slot][:, None], found["damping"][at, slot][:, None]
-        turn = jnp.full((*at.shape, 1), more, jnp.int32)
-        rest = batched.in_blocks(block, arm, (flat[at], worth[at], turn, q, damping))
-        found = {name: x.at[at, slot].set(rest[name][:, 0]) for name, x in found.items()}
-        done += more
-    del found["damping"]
-    return Projection(**{name: x.reshape(*batch, *x.shape[1:]) for name, x in found.items()})
+    fields = {k: pick(x) for k, x in vars(branches).items() if x is not None}
+    return Projection(**fields, goal_error=goal_error(goals), branches=branches)

@@ -1,12 +1,12 @@
-"""How well an arm moves where it stands: per branch with `sol.q`, differentiable in joints and arm.
+"""How well an arm can move at given joints: per branch with `sol.q`, differentiable in joints and arm.
 
-All but `limit_clearance` are read off the singular values of the Jacobian in the rows that the arm's task
-asks for. Metres and radians are made comparable as everywhere in this library: a characteristic_length counts
-as its share of the reach, of the tool's motion and of a slide's alike. So the values have no unit and do not
-change when an arm is scaled; `characteristic_length` puts another number of metres in the place of the reach.
+All measures but `limit_clearance` are functions of the singular values of the Jacobian, in the rows that the
+arm's task asks for. Lengths, of the tool's motion and of a slide's alike, are divided by the arm's reach to
+make them comparable with radians. So the values have no unit, and do not change when an arm is scaled. A
+`characteristic_length` takes the place of the reach.
 
-Values are finite everywhere, and so are slopes: at singularities, where the least singular value has a
-corner, its slope is that of one side or zero.
+Values and gradients are finite everywhere. At singularities, where the least singular value has a corner, its
+gradient is that of one side or zero.
 
 Source: Yoshikawa, Manipulability of robotic mechanisms (1985); Salisbury and Craig (1982) for the condition.
 """
@@ -16,6 +16,7 @@ import math
 
 import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 
 from ikjax.arm import twists
 from ikjax.arm.arm import Arm, numbers
@@ -28,57 +29,66 @@ from ikjax.core.xla import opaque_one, pinning
 from ikjax.ik.inline import jit_with_arm
 
 
-def manipulability(arm: Arm, q, *, characteristic_length=None) -> jax.Array:
+def manipulability(arm: Arm, q: ArrayLike, *, characteristic_length: ArrayLike | None = None) -> jax.Array:
     """Yoshikawa's measure: the product of the singular values, |det J| where J is square.
 
-    An arm of fewer joints than its task has rows (five joints, a pose) is measured by the volume of what
-    its joints can do, sqrt(det J^T J).
+    For an arm with fewer joints than its task has rows (five joints, a pose) it is the volume of the motions
+    that its joints can make, sqrt(det J^T J).
 
     Args:
         arm: Its leaves may be traced.
         q: Joint values [rad, m], (..., n); `sol.q` gives a value for each branch.
-        characteristic_length: Metres that count as one radian, and as one for a slide; the arm's reach by
-            default.
+        characteristic_length: Length that counts as much as one radian, and as one unit of a slide [m], ();
+            the arm's reach by default.
 
     Returns:
-        (...), zero at a singularity.
+        (...) [1], zero at a singularity. Gradients are finite everywhere.
 
     Raises:
-        ValueError: q of another length than the arm has joints.
+        ValueError: The last axis of q is not as long as the arm has joints.
     """
     return _volume(arm, check_joints(arm, q), characteristic_length)
 
 
-def sigma_min(arm: Arm, q, *, characteristic_length=None) -> jax.Array:
-    """The least singular value of the Jacobian: the slowest that the tool moves for joints at unit speed.
+def sigma_min(arm: Arm, q: ArrayLike, *, characteristic_length: ArrayLike | None = None) -> jax.Array:
+    """The least singular value of the Jacobian: the least tool speed for a joint velocity of unit length.
 
-    Arguments as in `manipulability`. Where the least value is repeated, the slope is the mean of its own.
+    Arguments and errors as in `manipulability`.
+
+    Returns:
+        (...) [1]. Where the least value is repeated, the gradient is the mean of theirs.
     """
     return functools.reduce(jnp.minimum, _values(arm, check_joints(arm, q), characteristic_length))
 
 
-def inverse_condition(arm: Arm, q, *, characteristic_length=None) -> jax.Array:
-    """The least singular value over the greatest: 0 at a singularity, 1 where the arm moves all ways alike.
+def inverse_condition(arm: Arm, q: ArrayLike, *, characteristic_length: ArrayLike | None = None) -> jax.Array:
+    """The least singular value over the greatest: 0 at a singularity, 1 where all are equal (isotropic).
 
-    Arguments as in `manipulability`.
+    Arguments and errors as in `manipulability`.
+
+    Returns:
+        (...) [1].
     """
     values = _values(arm, check_joints(arm, q), characteristic_length)
     return safe.divide(functools.reduce(jnp.minimum, values), functools.reduce(jnp.maximum, values))
 
 
-def limit_clearance(arm: Arm, q) -> jax.Array:
+def limit_clearance(arm: Arm, q: ArrayLike) -> jax.Array:
     """How far the nearest joint limit is [rad]: positive within the limits, negative beyond one.
 
-    A turning joint counts with the best of all its whole turns, wherever in `q` it stands: the value is
-    positive just where `within_limits` finds turns that bring it inside. A slide counts one radian a reach.
-    It is pi at most, which is also what an arm without limits has.
+    A turning joint counts with the best of its whole turns, whichever of them is in `q`: the value is
+    positive exactly where `within_limits` finds turns that bring the joint inside. For a slide, one reach
+    counts as one radian. The value is pi at most, which is also that of an arm without limits.
 
     Args:
         arm: With limits (n, 2) [rad, m], in terms of q.
         q: (..., n); `sol.q` gives a value for each branch.
 
     Returns:
-        (...). Half-way between two limits it has a corner.
+        (...) [rad]. Half-way between two limits it has a corner.
+
+    Raises:
+        ValueError: The last axis of q is not as long as the arm has joints.
     """
     return _limit_clearance(arm, check_joints(arm, q))
 
@@ -89,15 +99,16 @@ def _limit_clearance(arm: Arm, q: jax.Array) -> jax.Array:
 
 
 def _clearance(arm: Arm, i: int, value: jax.Array) -> jax.Array:
+    """`limit_clearance` of joint i alone."""
     lower, upper = (jnp.asarray(limit, value.dtype) for limit in numbers(arm.limits[i]))
-    # Zeros in the place of infinities keep them out of the slopes.
+    # Infinite limits are replaced by zeros: in a branch that is not used they would make gradients NaN.
     low, high = (jnp.where(jnp.isfinite(limit), limit, 0) for limit in (lower, upper))
     size = reach(arm) if arm.kinds[i] == "P" else 1
     above = jnp.where(jnp.isfinite(lower), (value - low) / size, math.pi)
     below = jnp.where(jnp.isfinite(upper), (high - value) / size, math.pi)
     straight = jnp.minimum(jnp.minimum(above, below), math.pi)
     inside = (high - low) / 2 - jnp.abs(wrap(value - (high + low) / 2))
-    # Whole turns can always meet one limit.
+    # A single limit can always be met by whole turns.
     bounded = jnp.isfinite(lower) & jnp.isfinite(upper)
     return jnp.where(whole_turns(arm)[i], jnp.where(bounded, jnp.minimum(inside, math.pi), math.pi), straight)
 
@@ -114,16 +125,16 @@ def _values(arm: Arm, q: jax.Array, characteristic_length) -> tuple[jax.Array, .
 
 
 def _columns(arm: Arm, q: jax.Array, characteristic_length) -> list[tuple[jax.Array, ...]]:
-    """Of the Jacobian, or its rows where those are fewer; each entry (...)."""
+    """Columns of the Jacobian, or its rows where those are fewer; each entry (...)."""
     one = opaque_one(q[..., 0])
 
     with pinning(lambda x: x / one if isinstance(x, jax.Array) else x):
-        found = chain(arm, tuple(q[..., i] for i in range(arm.n)))
-    tip = poses.compose(found.last, fixed_pose(arm.tool)).position
+        kinematics = chain(arm, tuple(q[..., i] for i in range(arm.n)))
+    tip = poses.compose(kinematics.last, fixed_pose(arm.tool)).position
     characteristic_length = reach(arm) if characteristic_length is None else characteristic_length
-    rows = twists.asked(arm, found, safe.divide(1, characteristic_length))
+    rows = twists.task_rows(arm, kinematics, safe.divide(1, characteristic_length))
     units = [characteristic_length if kind == "P" else 1.0 for kind in arm.kinds]
-    motions = zip(units, twists.of_motors(arm, found, tip), strict=True)
+    motions = zip(units, twists.motor_twists(arm, kinematics, tip), strict=True)
     columns = [tuple(x * one for x in rows(motion.times(unit))) for unit, motion in motions]
     few = len(columns) <= len(columns[0])
     return columns if few else list(zip(*columns, strict=True))

@@ -1,72 +1,100 @@
 """`refine`: from given joints down to the nearest attainable pose.
 
-The default takes damped Newton steps (`ik.multistart`, `ik.newton`); a loss of the caller's own is minimized
-by an optax optimizer.
+The default takes damped Newton steps (`ik.multistart`, `ik.newton`). A custom loss is minimized by an optax
+optimizer.
 """
+
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
 import optax
+from jax.typing import ArrayLike
 
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import fk, reach
 from ikjax.core.known import as_array
 from ikjax.core.pose import nearest_pose, pose_error, to_matrix
 from ikjax.core.tolerances import CONVERGED, NEARLY_ROTATION
-from ikjax.ik import lexicographic as priorities
 from ikjax.ik import newton
 from ikjax.ik.inline import entries_of
-from ikjax.ik.multistart import STEPS, best_of, checked, descended
+from ikjax.ik.lexicographic import checked_priority
+from ikjax.ik.multistart import STEPS, checked_arguments, descend_all, with_best
 from ikjax.ik.results import Projection
+
+Loss = Callable[[Arm, jax.Array, jax.Array], jax.Array]
+"""`loss(arm, goal, q)` of one goal (4, 4) and joints (n,), a number ()."""
 
 
 def refine(
     arm: Arm,
-    goals,
-    q0,
-    characteristic_length: float = 0.1,
+    goals: ArrayLike,
+    q0: ArrayLike,
+    characteristic_length: ArrayLike = 0.1,
     *,
     priority: str = "weighted",
     steps: int = STEPS,
-    loss=None,
-    optimizer=None,
+    loss: Loss | None = None,
+    optimizer: optax.GradientTransformation | None = None,
 ) -> Projection:
     """The nearest attainable pose downhill from given joints, within the joint limits.
 
-    Minimizes |dp|^2 + (characteristic_length * angle)^2, dp being the way between the tool's point and the
-    goal's and angle the rotation between them. An arm whose task leaves out the orientation, or what lies off
-    its plane, is asked for the rest. A start outside the limits is first moved into them, by whole turns
-    where that will do. From there on no step makes the cost greater, beyond its rounding.
+    Minimizes |dp|^2 + (characteristic_length * angle)^2, where dp is the vector from the goal's point to the
+    tool's and angle that of the rotation between them. An arm whose task leaves out the orientation, or what
+    is off its plane, is asked for the rest. A start outside the limits is first moved into them, by whole
+    turns where that suffices. From there on no step increases the cost, beyond its rounding.
 
     Args:
         arm: Any arm of up to seven joints, of a family or of none.
-        goals: T_world_tool, (..., 4, 4), float32 or float64. Of a rotation that is off by up to 1e-2, as
-            three typed decimals are, the nearest rotation is the goal; `goal_error` says by how much. Beyond
-            that, or of another bottom row, the goal is no pose: errors are NaN, and `q` is where it started.
-        q0: (..., n) joint values to start from, or (..., S, n) for S starts of each goal.
-        characteristic_length: What a radian is worth [m]; positive. A short one holds the point and a long
-            one the orientation, each to about its square over a square length of the arm.
-        priority: "weighted" is that sum. "position": of the poses with the least distance, that of the least
-            angle; "orientation" the reverse (`ik.lexicographic`), in stages of `steps`. Of the starts, those
-            whose first error is the least to 1e-7 (float32: 1e-4) reaches or rad count as equal, and the
-            second decides.
-        steps: At most so many.
+        goals: T_world_tool, (..., 4, 4), float32 or float64. Where a rotation is off by up to 1e-2, as with
+            three typed decimals, the nearest rotation is the goal; `goal_error` says by how much. Beyond
+            that, or with another bottom row, the goal is no pose: errors are NaN, and `q` is where it
+            started.
+        q0: Initial guess, (..., n) [rad, m], or (..., S, n) for S starts of each goal.
+        characteristic_length: Length that counts as much as one radian [m], (); positive. A short one keeps
+            the position exact and a long one the orientation, each to about its square over a square length
+            of the arm.
+        priority: "weighted" is that sum. "position": of the poses with the least distance, the one with the
+            least angle; "orientation" the reverse (`ik.lexicographic`), in stages of `steps`. Of the starts,
+            those whose first error is the least to 1e-7 (float32: 1e-4) reaches or rad count as equal, and
+            the second decides.
+        steps: Steps, at most.
         loss: `loss(arm, goal, q)` of one goal (4, 4) and joints (n,), to minimize instead.
         optimizer: An optax optimizer for `loss`; `optax.adam(0.02)` by default. Joints are put back into the
             limits after each step, and the best of all steps is returned.
 
     Returns:
-        `Projection`; its `cost` is the weighted one whatever the priority, and with `loss` that. Of several
-        starts the best, and of those that are level, as branches in one pose are, the first. Inside jit it
-        takes all `steps` for every start. `q`, `cost` and the errors have slopes in the goals and the arm's
-        leaves, by the condition that holds at the bottom, joints at a limit standing still; those of `q` are
-        zero where it is not `converged`. With a priority they are those of a last sum of both errors, to
-        some 1e-3. With `loss` the slopes are those of its steps.
+        `Projection`, fields (...). Its `cost` is the weighted one whatever the priority, and the value of
+        `loss` with one. Of several starts it is the best; of those that are equal to rounding, as branches in
+        one pose are, the first. Inside jit every start takes all `steps`.
+
+        `q`, `cost` and the errors have gradients in the goals and the arm's leaves, by the implicit function
+        theorem at the minimum; joints at an active bound do not move. Those of `q` are zero where it is not
+        `converged`. With a priority they are those of a last sum of both errors, to some 1e-3. With `loss`
+        the gradients are those of its steps.
 
     Raises:
         ValueError: Wrong shapes or types.
     """
-    goals, arm = checked(arm, goals, characteristic_length, steps)
+    goals, arm = checked_arguments(arm, goals, characteristic_length, steps)
+    starts = _as_starts(arm, goals, q0)
+    if loss is None and optimizer is not None:
+        raise ValueError("optimizer is of a loss: give loss= too")
+    if loss is not None:
+        if priority != "weighted":
+            raise ValueError(f"priority is of the errors, and not of a loss: got {priority!r} with loss=")
+        return with_best(arm, goals, minimize_loss(arm, goals, starts, loss, optimizer, steps))
+    priority = checked_priority(arm, priority)
+    branches = descend_all(arm, goals, starts, characteristic_length, steps, priority)
+    return with_best(arm, goals, branches, priority)
+
+
+def _as_starts(arm: Arm, goals: jax.Array, q0) -> jax.Array:
+    """The initial guesses as (..., S, n).
+
+    Raises:
+        ValueError: A wrong shape.
+    """
     starts = as_array(q0, goals.dtype)
     batch = goals.shape[:-2]
     wanted = (*batch, arm.n)
@@ -77,62 +105,62 @@ def refine(
     if starts.shape[-2] == 0:
         raise ValueError(f"q0 must hold at least one start, got shape {jnp.shape(q0)}")
     try:
-        starts = jnp.broadcast_to(starts, (*batch, starts.shape[-2], arm.n))
+        return jnp.broadcast_to(starts, (*batch, starts.shape[-2], arm.n))
     except ValueError as error:
         raise ValueError(f"q0 must have shape {wanted} or (..., S, {arm.n}), got {jnp.shape(q0)}") from error
-    if loss is None and optimizer is not None:
-        raise ValueError("optimizer is of a loss: give loss= too")
-    if loss is not None:
-        if priority != "weighted":
-            raise ValueError(f"priority is of the errors, and not of a loss: got {priority!r} with loss=")
-        return best_of(arm, goals, minimized(arm, goals, starts, loss, optimizer, steps))
-    priority = priorities.checked(arm, priority)
-    return best_of(
-        arm, goals, descended(arm, goals, starts, characteristic_length, steps, priority), priority
-    )
 
 
-def minimized(arm: Arm, goals: jax.Array, starts: jax.Array, loss, optimizer, steps: int) -> Projection:
+def minimize_loss(
+    arm: Arm,
+    goals: jax.Array,
+    starts: jax.Array,
+    loss: Loss,
+    optimizer: optax.GradientTransformation | None,
+    steps: int,
+) -> Projection:
     """The best of all steps from each start (..., S, n), fields (..., S); arguments as in `refine`.
 
-    The loss is handed the pose nearest to each goal, or the goal as it is where there is none.
+    The loss gets the pose nearest to each goal, or the goal as it is where there is none.
     """
-    optimizer = optax.adam(0.02) if optimizer is None else optimizer
+    solver = optax.adam(0.02) if optimizer is None else optimizer
     columns = newton.into_limits(arm, tuple(starts[..., i] for i in range(arm.n)))
     starts, size = jnp.stack(columns, axis=-1), jnp.asarray(reach(arm), goals.dtype)
     low, high = arm.limits[:, 0], arm.limits[:, 1]
 
-    def one(goal, q0):
-        slope = jax.value_and_grad(lambda q: loss(arm, goal, q))
+    def minimize_one(goal, q0):
+        value_and_gradient = jax.value_and_grad(lambda q: loss(arm, goal, q))
 
-        def look(q, best):
-            value, grad = slope(q)
-            # A loss that is no number is no best, and its slope leads nowhere.
-            grad = jnp.where(jnp.isfinite(grad), grad, 0)
-            free = jnp.where(((q <= low) & (grad > 0)) | ((q >= high) & (grad < 0)), 0, grad)
-            now = q, value, jnp.sqrt(jnp.sum(free * free))
-            return grad, jax.tree.map(lambda new, old: jnp.where(value < best[1], new, old), now, best)
+        def evaluate(q, best):
+            value, gradient = value_and_gradient(q)
+            # A loss that is not finite is never the best, and its gradient is taken as zero.
+            gradient = jnp.where(jnp.isfinite(gradient), gradient, 0)
+            active = ((q <= low) & (gradient > 0)) | ((q >= high) & (gradient < 0))
+            free = jnp.where(active, 0, gradient)
+            current = q, value, jnp.sqrt(jnp.sum(free * free))
+            return gradient, jax.tree.map(
+                lambda new, old: jnp.where(value < best[1], new, old), current, best
+            )
 
         def step(carry, _):
             q, inner, best = carry
-            grad, best = look(q, best)
+            gradient, best = evaluate(q, best)
             # Optax mixes types as the caller's settings may forbid.
             with jax.numpy_dtype_promotion("standard"):
-                moves, inner = optimizer.update(grad, inner, q)
+                moves, inner = solver.update(gradient, inner, q)
             return (jnp.clip(optax.apply_updates(q, moves), low, high), inner, best), None
 
         none = q0, jnp.full((), jnp.inf, q0.dtype), jnp.zeros((), q0.dtype)
-        (q, _, best), _ = jax.lax.scan(step, (q0, optimizer.init(q0), none), length=steps)
-        return look(q, best)[1]
+        (q, _, best), _ = jax.lax.scan(step, (q0, solver.init(q0), none), length=steps)
+        return evaluate(q, best)[1]
 
     pose, off = nearest_pose(entries_of(goals), jax.lax.stop_gradient(size))
     proper = off <= NEARLY_ROTATION
     goals = jnp.where(proper[..., None, None], to_matrix(pose), goals)
     flat = starts.reshape(-1, *starts.shape[-2:])
-    found = jax.vmap(jax.vmap(one, (None, 0)))(goals.reshape(-1, 4, 4), flat)
-    q, value, steep = (x.reshape(*starts.shape[:-1], *x.shape[2:]) for x in found)
+    best = jax.vmap(jax.vmap(minimize_one, (None, 0)))(goals.reshape(-1, 4, 4), flat)
+    q, value, gradient_norm = (x.reshape(*starts.shape[:-1], *x.shape[2:]) for x in best)
     proper = proper[..., None]
     errors = pose_error(fk(arm, q), goals[..., None, :, :])
-    gap, angle = (jnp.where(proper, x, jnp.nan) for x in errors)
-    down = proper & jnp.isfinite(value) & (steep <= CONVERGED[q.dtype.name])
-    return Projection(q, value, gap, angle, steep, down)
+    distance, angle = (jnp.where(proper, x, jnp.nan) for x in errors)
+    converged = proper & jnp.isfinite(value) & (gradient_norm <= CONVERGED[q.dtype.name])
+    return Projection(q, value, distance, angle, gradient_norm, converged)

@@ -1,4 +1,4 @@
-"""Why an arm has no closed form, and what would help: one line for an error, or all that was found.
+"""Why an arm has no closed form, and what would help: one line for an error message, or the full account.
 
 Host side: it looks at the arm's numbers.
 """
@@ -19,14 +19,15 @@ LADDER = ("1e-5", "1e-4", "1e-3", "0.01", "0.02")
 """Tolerances of `Arm.from_dh` and `Arm.from_urdf` that are tried, up to the largest that they take."""
 
 SMALL = 1e-3
-"""Up to here the best family counts, which is the fastest; beyond, the least correction."""
+"""Up to this tolerance the first family in the order of the rules is preferred, which is the fastest; beyond
+it, the least correction."""
 
 _SHARE = ", share of the reach"
 _REVERSED = "read from the tool to the base: "
 
 
 def refusal(arm: Arm) -> str:
-    """One line: the fact that fails and by how much, then what to do instead."""
+    """One line for an error message: the fact that fails and by how much, then what to do instead."""
     verdict = f"{arm.name} has no closed form here"
     remedy = "project() takes any arm"
     if is_traced(arm):
@@ -35,50 +36,53 @@ def refusal(arm: Arm) -> str:
     if not families:
         return f"{verdict}: no family has joints {arm.kinds}. {remedy}"
     numbers, given = _numbers(arm), _axes(arm)
-    found, nearest = _within(given, families), ""
-    if found:
-        family, off, tolerance = found
+    loosened, nearest = _with_looser_tolerance(given, families), ""
+    if loosened:
+        family, off, tolerance = loosened
         remedy += f"; within {off:.2g} it is {family}: build it with axis_tolerance={tolerance}"
     else:
-        family = _nearest(given, families)
+        family = _nearest_family(given, families)
         nearest = f"for {family}, the nearest, "
     failed = _failed(arm.kinds, numbers, family, recognize.tolerance_of(arm.dtype))
     if not failed:
         return f"{verdict}. {remedy}"
     more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
-    worst = _in_words(max(failed, key=_weight), _size(numbers))
+    worst = _in_words(max(failed, key=_distance), _size(numbers))
     return f"{verdict}: {nearest}{worst}{more}. {remedy}; explain(arm) says more"
 
 
-def _within(given: Axes, families: list[str]) -> tuple[str, float, str] | None:
-    """The family that a looser tolerance finds, by how much the arm is off it, and that tolerance."""
-    found = None
+def _with_looser_tolerance(given: Axes, families: list[str]) -> tuple[str, float, str] | None:
+    """The family that a looser tolerance gives, by how much the arm is off it, and that tolerance."""
+    best = None
     for tolerance in LADDER:
-        if found and float(tolerance) > SMALL:
+        if best and float(tolerance) > SMALL:
             break
         table = rewritten(given, float(tolerance))
         numbers = {**table.columns, "tool": table.tool}
         family = recognize.recognize(given.kinds, numbers).family
-        if family and (not found or families.index(family) < families.index(found[0])):
+        if family and (not best or families.index(family) < families.index(best[0])):
             shift, turn = np.abs(table.correction[:, :3]).max(), np.abs(table.correction[:, 3:]).max()
-            found = family, max(float(turn), float(shift) / _size(numbers)), tolerance
-    return found
+            best = family, max(float(turn), float(shift) / _size(numbers)), tolerance
+    return best
 
 
-def _nearest(given: Axes, families: list[str]) -> str:
-    """The family with the least to forgive, counting only what the largest tolerance does not forgive."""
+def _nearest_family(given: Axes, families: list[str]) -> str:
+    """The family with the least sum of deviations, over the facts that fail even at the largest tolerance."""
     table = rewritten(given, float(LADDER[-1]))
     numbers = {**table.columns, "tool": table.tool}
     failed = {name: _failed(given.kinds, numbers, name, float(LADDER[-1])) for name in families}
-    return min(families, key=lambda name: sum(map(_weight, failed[name])))
+    return min(families, key=lambda name: sum(map(_distance, failed[name])))
 
 
 def what_was_found(arm: Arm) -> str:
-    """The arm's axes in words, and what keeps it out of every family."""
+    """The arm's axes in words, and for each family why it is not this one."""
     if is_traced(arm):
         return "Families: " + ", ".join(recognize.RULES)
     numbers, tolerance = _numbers(arm), recognize.tolerance_of(arm.dtype)
-    lines = [f"Found: joints {arm.kinds}; {recognize.found(arm.kinds, numbers, tolerance)}.", "Families:"]
+    lines = [
+        f"Found: joints {arm.kinds}; {recognize.describe_axes(arm.kinds, numbers, tolerance)}.",
+        "Families:",
+    ]
     for name, rule in recognize.RULES.items():
         lines.append(f"  {name}: {rule.summary}.")
         if not re.fullmatch(rule.kinds, arm.kinds):
@@ -91,34 +95,36 @@ def what_was_found(arm: Arm) -> str:
 
 
 def _numbers(arm: Arm) -> dict[str, np.ndarray]:
+    """The arm's DH table and tool."""
     return {key: np.asarray(getattr(arm, key), float) for key in ("a", "alpha", "d", "theta", "tool")}
 
 
 def _axes(arm: Arm) -> Axes:
-    """Of the arm as given, its base left out."""
+    """The axes of the arm as given, without its base."""
     numbers = _numbers(arm)
-    frames = dh.frames(arm.kinds, numbers)
+    frames = dh.frames(numbers)
     links = np.linalg.inv(frames[:-1]) @ frames[1:]
-    off = np.zeros((arm.n + 1, 6)) if arm.correction is None else np.asarray(arm.correction, float)
-    after = list(map(small_pose, off))
-    given = [after[0]]
-    for link, small in zip(links, after[1:], strict=True):
-        given.append(given[-1] @ link @ small)
+    correction = np.zeros((arm.n + 1, 6)) if arm.correction is None else np.asarray(arm.correction, float)
+    corrections = list(map(small_pose, correction))
+    given = [corrections[0]]
+    for link, correction_after in zip(links, corrections[1:], strict=True):
+        given.append(given[-1] @ link @ correction_after)
     frames = np.stack(given)
     return Axes(arm.kinds, frames[:-1, :3, 2], frames[:-1, :3, 3], given[-1] @ numbers["tool"])
 
 
 def _size(numbers: dict[str, np.ndarray]) -> float:
-    """What lengths among the facts are a share of."""
+    """The sum of the lengths in the table [m], which lengths among the facts are shares of."""
     return max(float(np.abs(numbers["a"]).sum() + np.abs(numbers["d"]).sum()), 1e-300)
 
 
 def _failed(kinds: str, numbers: dict, family: str, tolerance: float) -> list[Check]:
+    """The facts of a family that do not hold."""
     return [check for check in recognize.evidence(kinds, numbers, family, tolerance) if not check.holds]
 
 
-def _weight(check: Check) -> float:
-    """How far a fact is from holding; what is degenerate is as far as can be."""
+def _distance(check: Check) -> float:
+    """How far a fact is from holding, in [0, 1]; what is degenerate counts as 1."""
     return 1.0 if check.wanted.startswith(">") else min(check.deviation, 1.0)
 
 

@@ -1,6 +1,6 @@
 """Maps of a workspace: which orientations an arm reaches at every position of a set.
 
-`ikjax.sweep` makes a `ReachMap`; here are the sets that it sweeps and the statistics of one's own.
+`ikjax.sweep` makes a `ReachMap`; here are the sets that it sweeps and the user's own statistics.
 """
 
 from ikjax.maps.custom import Measure as Measure

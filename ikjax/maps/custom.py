@@ -1,4 +1,4 @@
-"""Statistics beyond the named ones: a function of the user's own, and goals that are nearly reached."""
+"""Statistics beyond the named ones: a user's own function, and goals that are nearly reached."""
 
 import dataclasses
 import functools
@@ -12,37 +12,36 @@ import numpy as np
 
 from ikjax.arm.arm import Arm
 from ikjax.ik.inline import FIELDS
-from ikjax.ik.multistart import closed
+from ikjax.ik.multistart import closed_form
 from ikjax.ik.results import Solutions
-from ikjax.maps.fingerprint import traced
-from ikjax.maps.kernel.sample import Goal, Lane
+from ikjax.maps.fingerprint import program_hash
+from ikjax.maps.kernel.sample import Channel, Goal
 from ikjax.maps.store.manifest import check_name
 
-MOST = 2**25
-"""Units: so many a goal's number may have, over all its rolls, where numbers are summed up."""
-
+MAX_UNITS = 2**25
+"""Largest number of a goal, in units, over all its rolls, where numbers are summed."""
 
 CLOSED = "closed"
-"""What `Goal.kept` has of the closed form, for all that look at it."""
+"""Key of the errors of the closed form in `Goal.cache`, for all statistics `Near`."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Near:
-    """A statistic: orientations of which some branch of `project(..., steps=0)` is within both tolerances.
+    """A statistic: orientations for which a branch of `project(..., steps=0)` is within both tolerances.
 
-    A branch is within the joint limits: one that was outside has been put on them, and its errors say what
-    that cost. It is the closed form alone, which holds the point as well as it can and then turns as near as
-    that allows; a pose that gives up some of the point for the orientation may be within the tolerances where
-    none of these is, so that the count is a lower bound. Goals on the edge of a tolerance are decided by
-    rounding.
+    The branches are within the joint limits: one that was outside has been moved to them, and its errors say
+    what that cost. They come from the closed form alone, which meets the point as well as it can and then the
+    orientation as nearly as that allows. A pose that gives up some of the point for the orientation may be
+    within the tolerances where no branch is, so the count is a lower bound. Goals at the edge of a tolerance
+    are decided by rounding.
     """
 
     position: float
-    """Distance from the goal's point that is near enough [m]."""
+    """Tolerated distance from the goal's point [m], zero or more."""
     rotation: float
-    """Angle from the goal's orientation that is near enough [rad]."""
+    """Tolerated angle from the goal's orientation [rad], zero or more."""
     name: str = "near"
-    """What the map calls it."""
+    """Its name in the map: small letters, digits and _."""
 
     def __post_init__(self):
         check_name(self.name)
@@ -51,47 +50,49 @@ class Near:
                 raise ValueError(f"{field} must be a tolerance, zero or more, got {getattr(self, field)}")
 
     def facts(self) -> dict[str, Any]:
-        """What tells it from another of its name."""
+        """What tells it from another of its name, for the map's spec."""
         return {"near": [float(self.position), float(self.rotation)]}
 
-    def lane(self) -> Lane:
-        """What the loop does for it."""
-        return Lane("count", self._any, any_roll=True, pinned=True)
+    def channel(self) -> Channel:
+        """Its channel in the loop."""
+        return Channel("count", self._is_near, any_roll=True, pinned=True)
 
-    def _any(self, goal: Goal) -> jax.Array:
-        if CLOSED not in goal.kept:
-            goal.kept[CLOSED] = _errors(goal)
-        near = [(gap <= self.position) & (angle <= self.rotation) for gap, angle in goal.kept[CLOSED]]
-        return functools.reduce(jnp.logical_or, near).astype(jnp.int32)
+    def _is_near(self, goal: Goal) -> jax.Array:
+        """Whether some branch is within both tolerances, int32 (positions, orientations)."""
+        if CLOSED not in goal.cache:
+            goal.cache[CLOSED] = _branch_errors(goal)
+        within = [(gap <= self.position) & (angle <= self.rotation) for gap, angle in goal.cache[CLOSED]]
+        return functools.reduce(jnp.logical_or, within).astype(jnp.int32)
 
 
-def _errors(goal: Goal) -> list[tuple[jax.Array, jax.Array]]:
-    """Of every branch, [m] and [rad]."""
+def _branch_errors(goal: Goal) -> list[tuple[jax.Array, jax.Array]]:
+    """Position error [m] and rotation error [rad] of every branch of the closed form."""
     assert goal.pose is not None
-    # What is held has the shape of one number of the goal.
+    # Pinned values must have the shape of one number of the goal.
     position = [jnp.broadcast_to(x, goal.shape) for x in goal.pose.position]
     zero = jnp.zeros_like(position[0])
     rows = [(*row, x) for row, x in zip(goal.pose.rotation, position, strict=True)]
-    slots = closed(goal.arm, (*rows, (zero, zero, zero, zero + 1)), zero + 1)
+    slots = closed_form(goal.arm, (*rows, (zero, zero, zero, zero + 1)), zero + 1)
     return [(slot.position_error, slot.rotation_error) for slot in slots]
 
 
 @dataclasses.dataclass(frozen=True)
 class Measure:
-    """A statistic of one's own: a number of each goal, and how those of all orientations become one.
+    """A user's own statistic: a number of each goal, and its reduction over orientations.
 
-    The function is handed `Solutions` as from `solve`, its fields (..., S) and `q` (..., S, n), and returns
-    (...) numbers. It must be elementwise: a goal's number may depend on that goal's solutions alone, and
-    be made by jax alone. `within_limits` and `nearest` are elementwise too. Its name and its program, as jax
-    traces it when the sweep begins, with every number that it holds, are part of a map's spec.
+    The function must be elementwise: a goal's number may depend on that goal's solutions alone. It must be
+    made of jax operations alone. `within_limits` and `nearest` are elementwise too. The name, and the program
+    as jax traces it when the sweep begins, with all its constants, are part of a map's spec.
     """
 
     name: str
+    """Its name in the map: small letters, digits and _."""
     function: Callable[[Solutions], Any]
+    """From `Solutions` as of `solve`, with fields (..., S) and `q` (..., S, n), to numbers (...)."""
     reduce: str
     """"sum", "max" or "min" over orientations, and over free rolls."""
     unit: float = 1.0
-    """Of a sum: each number is rounded to whole units, so that sums come out the same in any order."""
+    """Of a sum: each number is rounded to whole units, so that sums have the same bits in any order."""
 
     def __post_init__(self):
         check_name(self.name)
@@ -101,61 +102,83 @@ class Measure:
             raise ValueError(f"unit must be a positive number, got {self.unit}")
 
     def facts(self, arm: Arm) -> dict[str, Any]:
-        """What tells it from another of its name.
+        """What tells it from another of its name, for the map's spec.
+
+        Args:
+            arm: The arm that is swept, of the kernel's type.
 
         Raises:
-            ValueError: The function does not return a number for each goal, or its program cannot be told.
+            ValueError: The function does not return one number for each goal, or its program cannot be
+                hashed.
         """
-        code, shapes = traced(self.name, self.function, _blank(arm, (2, 3)))
+        code, shapes = program_hash(self.name, self.function, _example_solutions(arm, (2, 3)))
         if shapes != [(2, 3)]:
             raise ValueError(f"{self.name} must return one number a goal, (2, 3) for (2, 3), got {shapes}")
         return {"reduce": self.reduce, "unit": float(self.unit), "code": code}
 
-    def lanes(self, arm: Arm, rolls: int) -> dict[str, Lane]:
-        """What the loop does for it."""
+    def channels(self, rolls: int) -> dict[str, Channel]:
+        """Its channels in the loop, by name.
+
+        Args:
+            rolls: Free rolls of each orientation.
+        """
         if self.reduce != "sum":
-            return {self.name: Lane(self.reduce, lambda goal: self._value(goal), pinned=True)}
-        most = MOST // rolls
+            return {self.name: Channel(self.reduce, lambda goal: self._value(goal), pinned=True)}
+        most = MAX_UNITS // rolls
 
         def units(goal: Goal) -> jax.Array:
             value = jnp.round(self._value(goal) / self.unit)
-            return jnp.where(_sane(value, most), value, 0).astype(jnp.int32)
+            return jnp.where(_fits(value, most), value, 0).astype(jnp.int32)
 
-        def wild(goal: Goal) -> jax.Array:
-            return (~_sane(jnp.round(self._value(goal) / self.unit), most)).astype(jnp.int32)
+        def too_large(goal: Goal) -> jax.Array:
+            return (~_fits(jnp.round(self._value(goal) / self.unit), most)).astype(jnp.int32)
 
         return {
-            self.name: Lane("sum", units, pinned=True),
-            f"{self.name}.wild": Lane("count", wild, any_roll=True, pinned=True),
+            self.name: Channel("sum", units, pinned=True),
+            f"{self.name}.too_large": Channel("count", too_large, any_roll=True, pinned=True),
         }
 
-    def finish(self, total: np.ndarray, wild: np.ndarray | None = None) -> np.ndarray:
-        """What is stored."""
-        if wild is None:
-            return total[:, 0]
-        if wild.any():
+    def finish(self, result: np.ndarray, too_large: np.ndarray | None = None) -> np.ndarray:
+        """The numbers that are stored, (positions,).
+
+        Args:
+            result: (positions, 1) of the channel of numbers.
+            too_large: (positions, 1) of a sum: goals whose number is not finite or too large.
+
+        Raises:
+            ValueError: There is such a goal.
+        """
+        if too_large is None:
+            return result[:, 0]
+        if too_large.any():
             raise ValueError(
-                f"{self.name} gave numbers that are not finite or of more than {MOST:,} units of {self.unit}"
+                f"{self.name} gave numbers that are not finite or "
+                f"of more than {MAX_UNITS:,} units of {self.unit}"
             )
-        return total[:, 0] * self.unit
+        return result[:, 0] * self.unit
 
     def _value(self, goal: Goal) -> jax.Array:
-        value = self.function(_solutions(goal))
+        """The function's numbers (positions, orientations), in the kernel's type."""
+        value = self.function(_stacked_solutions(goal))
         return jnp.asarray(value).astype(goal.slots[0].margin.dtype)
 
 
-def _sane(value: jax.Array, most: int) -> jax.Array:
+def _fits(value: jax.Array, most: int) -> jax.Array:
+    """Whether a number of units is finite and small enough to be summed exactly."""
     return jnp.abs(value) <= most
 
 
-def _blank(arm: Arm, shape: tuple[int, ...]) -> Solutions:
+def _example_solutions(arm: Arm, shape: tuple[int, ...]) -> Solutions:
+    """Solutions of goals of that shape, all zero, to trace a function with."""
     slots = (*shape, len(arm.branches))
     number, flag = jnp.zeros(slots, arm.dtype), jnp.zeros(slots, bool)
     q, is_pose = jnp.zeros((*slots, arm.n), arm.dtype), jnp.ones(shape, bool)
     return Solutions(q, flag, number, flag, number, number, is_pose)
 
 
-def _solutions(goal: Goal) -> Solutions:
+def _stacked_solutions(goal: Goal) -> Solutions:
+    """The goals' slots as `solve` returns them: fields (positions, orientations, S)."""
+
     def packed(values) -> jax.Array:
         return jnp.stack([jnp.broadcast_to(x, goal.shape) for x in values], axis=-1)
 

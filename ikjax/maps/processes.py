@@ -1,8 +1,8 @@
-"""The processes that share one sweep: the first leads, and each has its own units.
+"""The processes that share one sweep: the first leads, and each computes its own units.
 
-They are those of `jax.distributed`, and speak through its coordinator's key-value store
-alone: a collective would fail where one waits long for another. A process that dies is noticed by jax, which
-ends the others; what they have written is whole.
+They are those of `jax.distributed`, and exchange JSON values through its coordinator's key-value store alone:
+a collective operation would fail where one process waits long for another. jax notices a process that dies
+and ends the others; what they have written is whole.
 """
 
 import contextlib
@@ -16,88 +16,100 @@ import jax
 
 from ikjax.maps.runner import Stop
 
+POLL_SECONDS = 0.05
+"""Between two looks at the key-value store while waiting."""
+
 _runs = itertools.count()
 
 
-class Crew:
-    """This process among those of one sweep. All of them must begin the same sweeps in the same order."""
+class Processes:
+    """This process among those of one sweep. All of them must begin the same sweeps in the same order.
+
+    In a program of one process nothing is published, and nothing is waited for.
+    """
 
     def __init__(self):
         self.index, self.count = jax.process_index(), jax.process_count()
         self._prefix = f"ikjax/{next(_runs)}/"
         self._client: Any = None
         if self.count > 1:
-            # There is no public way to the store; orbax goes this one too.
+            # jax has no public access to the store; orbax uses this one too.
             from jax._src import distributed
 
             self._client = distributed.global_state.client
 
     @property
-    def leads(self) -> bool:
+    def is_first(self) -> bool:
+        """Whether this process leads: it alone holds the lock and writes the group's document."""
         return self.index == 0
 
-    def share(self, todo: list[int]) -> list[int]:
-        """The units of this process."""
+    def own_units(self, todo: list[int]) -> list[int]:
+        """The units of this process, of all that are to be computed."""
         return todo[self.index :: self.count]
 
-    def tell(self, key: str, value: Any) -> None:
-        """Say something to the others, once."""
+    def publish(self, key: str, value: Any) -> None:
+        """Make a JSON value known to the other processes, once under each key."""
         if self._client is not None:
             self._client.key_value_set(f"{self._prefix}{key}", json.dumps(value))
 
-    def hear(self, key: str) -> Any:
-        """Wait for what is told.
+    def fetch(self, key: str) -> Any:
+        """Wait for a value that another process publishes, and return it.
 
         Raises:
-            ValueError: The first process could not begin, and why.
+            ValueError: The first process published an error in its place: it could not begin.
         """
-        while f"{self._prefix}{key}" not in (said := self._said(key)):
-            time.sleep(0.05)
-        value = said[f"{self._prefix}{key}"]
+        while f"{self._prefix}{key}" not in (values := self._published(key)):
+            time.sleep(POLL_SECONDS)
+        value = values[f"{self._prefix}{key}"]
         if isinstance(value, dict) and "error" in value:
             raise ValueError(f"the first process could not begin: {value['error']}")
         return value
 
     @contextlib.contextmanager
-    def excuse(self, key: str) -> Iterator[None]:
-        """A block whose error is told in the place of what the others wait for."""
+    def publishing_errors(self, key: str) -> Iterator[None]:
+        """A block whose error is published in place of the value that the others wait for."""
         try:
             yield
         except BaseException as error:
-            self.tell(key, {"error": f"{type(error).__name__}: {error}"})
+            self.publish(key, {"error": f"{type(error).__name__}: {error}"})
             raise
 
-    def end(self, why: str | None = None) -> None:
-        """Say that this process has ended, and why, if before its units were done."""
-        self.tell(f"ends/{self.index}", why)
+    def publish_end(self, why: str | None = None) -> None:
+        """Publish that this process has ended.
 
-    def broken(self) -> str | None:
-        """Why another process has ended before its units were done."""
-        for key, why in self._said("ends/").items():
+        Args:
+            why: The reason, if it ended before its units were done.
+        """
+        self.publish(f"ends/{self.index}", why)
+
+    def failure(self) -> str | None:
+        """Why another process has ended before its units were done; None if none has."""
+        for key, why in self._published("ends/").items():
             if why is not None and not key.endswith(f"/{self.index}"):
                 return f"process {key.rpartition('/')[2]} ended: {why}"
         return None
 
-    def wait(self) -> str | None:
-        """Wait until all have ended; why one of the others did before its units were done."""
-        while self._client is not None and len(self._said("ends/")) < self.count:
-            time.sleep(0.05)
-        return self.broken()
+    def wait_for_all(self) -> str | None:
+        """Wait until all processes have ended; then as `failure`."""
+        while self._client is not None and len(self._published("ends/")) < self.count:
+            time.sleep(POLL_SECONDS)
+        return self.failure()
 
-    def meet(self, where: str) -> None:
-        """Wait for the first process to get so far."""
-        if self.leads:
-            self.tell(where, True)
+    def wait_for_first(self, point: str) -> None:
+        """Wait until the first process has called this with the same name; it does not wait itself."""
+        if self.is_first:
+            self.publish(point, True)
         else:
-            self.hear(where)
+            self.fetch(point)
 
-    def heeding(self, stop: Stop | None) -> Stop | None:
-        """The reasons to stop, and that another process has ended."""
+    def stop_with_others(self, stop: Stop | None) -> Stop | None:
+        """The same reasons to stop, and one more: another process has ended before its units were done."""
         if self._client is None:
             return stop
-        return lambda ended: (stop and stop(ended)) or (self.broken() if ended else None)
+        return lambda ended: (stop and stop(ended)) or (self.failure() if ended else None)
 
-    def _said(self, key: str) -> dict[str, Any]:
+    def _published(self, key: str) -> dict[str, Any]:
+        """All values in the folder of a key, by full key; nothing in a program of one process."""
         if self._client is None:
             return {}
         prefix = f"{self._prefix}{key.rpartition('/')[0]}"

@@ -1,7 +1,8 @@
-"""The map that a sweep makes, in arrays and in words; and two of them compared."""
+"""The map that a sweep makes, as arrays and in words; and the comparison of two maps."""
 
 import dataclasses
-from collections.abc import Mapping
+import os
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,25 +10,25 @@ import numpy as np
 from ikjax.arm.arm import Arm
 from ikjax.maps import statistics
 from ikjax.maps.sets.orientations import Orientations
-from ikjax.maps.sets.orientations import from_spec as orientations_from
+from ikjax.maps.sets.orientations import from_spec as orientations_from_spec
 from ikjax.maps.sets.positions import Grid, Shell
 from ikjax.maps.sets.surface import Surface
 from ikjax.maps.store import manifest, store
 from ikjax.maps.store.lock import Lock
-from ikjax.maps.store.storage import Place
+from ikjax.maps.store.storage import Storage
 
 
 class Units(NamedTuple):
-    """What a sweep found at `out` when it began."""
+    """What a sweep found at `out` when it started."""
 
     total: int
     """Work units of the whole map."""
     kept: int
-    """Units that were there and whole."""
+    """Units that were there and could be read."""
     missing: int
-    """Units of which a chunk was not there."""
+    """Units of which at least one chunk was missing."""
     damaged: int
-    """Units of which a chunk was not as it had been written."""
+    """Units whose chunks were all there, but not as they had been written."""
 
     def __str__(self) -> str:
         return f"{self.kept} of {self.total} units kept, {self.missing} missing, {self.damaged} damaged"
@@ -37,55 +38,58 @@ class Units(NamedTuple):
 class ReachMap:
     """Statistics of every position of a set, over one set of orientations.
 
-    Of a stored map nothing but the axes and rotations is read before it is asked for; `reach.reachable`
-    reads the whole array, `reach.arrays["reachable"][:, :, 3]` a slice.
+    Of a stored map only the axes and rotations are read at once: `reach.reachable` reads a whole array,
+    `reach.arrays["reachable"][:, :, 3]` a slice.
     """
 
     arm: Arm
+    """The arm that was swept."""
     positions: Grid | Shell | Surface
     orientations: Orientations
     free_rolls: int
-    """Turns about the tool's z axis of which one has to be reached; 1 where it must not turn."""
+    """Turns about the tool's z axis of which one has to be reached; 1 where the tool must not turn."""
     dtype: str
-    """Floating type of the kernel that made it."""
+    """Floating type of the kernel that made it, "float32" or "float64"."""
     statistic_specs: Mapping[str, dict[str, Any]]
-    """What the spec says of each statistic: "axes" are those after the positions'."""
+    """The spec of each statistic by name: its "dtype", the names "axes" and sizes "shape" of its axes after
+    those of the positions, and what else tells it from another of its name."""
     arrays: Mapping[str, Any]
     """The statistics by name, each (*positions.shape, ...): numpy arrays, or stored ones that are read when
     indexed."""
     seconds: float
-    """What the sweep took, without the compile; of one gone on with, what all would take at its last rate."""
+    """Duration without compiling; of a resumed sweep, what all units would take at its last rate."""
     units: Units | None = None
-    """Of a sweep into a store: what was there before."""
+    """Of a sweep into a store: what was there before. Else None."""
 
     def _read(self, name: str) -> np.ndarray:
+        """A statistic, read whole; ValueError where the map was made without it."""
         if name not in self.arrays:
             raise ValueError(f"this map was made without {name}, it has {', '.join(self.arrays)}")
         return np.asarray(self.arrays[name])
 
     @property
     def reachable(self) -> np.ndarray:
-        """int32, positions.shape: orientations with a solution."""
+        """int32 (*positions.shape): number of orientations with a solution."""
         return self._read("reachable")
 
     @property
     def solutions(self) -> np.ndarray:
-        """int32: solutions, summed over orientations."""
+        """int32 (*positions.shape): number of solutions over all orientations."""
         return self._read("solutions")
 
     @property
     def reachable_within(self) -> np.ndarray:
-        """int32: orientations with a solution within the joint limits."""
+        """int32 (*positions.shape): number of orientations with a solution within the joint limits."""
         return self._read("reachable_within")
 
     @property
     def solutions_within(self) -> np.ndarray:
-        """int32: solutions within the joint limits."""
+        """int32 (*positions.shape): number of solutions within the joint limits over all orientations."""
         return self._read("solutions_within")
 
     @property
     def best_margin(self) -> np.ndarray:
-        """float32: greatest margin of any orientation and slot [m], limits left out."""
+        """float32 (*positions.shape): greatest margin [m] of any orientation and slot, without limits."""
         return self._read("best_margin")
 
     @property
@@ -95,20 +99,23 @@ class ReachMap:
 
     @property
     def rotations(self) -> np.ndarray:
-        """(m, 3, 3) the orientations; on a surface with normals as they are seen from it."""
+        """The orientations (m, 3, 3); on a surface with normals, in the frame of the surface."""
         return self.orientations.rotations
 
     def reached(self, place: tuple[int, ...] | slice = slice(None), within: bool = True) -> np.ndarray:
-        """Which orientations are reached, (..., m) bool; needs the statistic `mask_within` or `mask`.
+        """Which orientations are reached, bool (..., m); needs the statistic `mask_within` or `mask`.
 
         Args:
             place: Index of a position or of several; everything by default.
-            within: Within the joint limits.
+            within: Only solutions within the joint limits count.
+
+        Raises:
+            ValueError: The map was made without that statistic.
         """
         name = "mask_within" if within else "mask"
         if name not in self.arrays:
             raise ValueError(f"this map was made without {name}, it has {', '.join(self.arrays)}")
-        return statistics.unpacked(np.asarray(self.arrays[name][place]), self.orientation_count)
+        return statistics.unpacked_mask(np.asarray(self.arrays[name][place]), self.orientation_count)
 
     @property
     def goals(self) -> int:
@@ -117,39 +124,45 @@ class ReachMap:
 
     @property
     def dexterity(self) -> np.ndarray:
-        """Share of orientations reachable within the joint limits, 0 to 1."""
+        """Share of orientations reachable within the joint limits, 0 to 1, (*positions.shape)."""
         return self.reachable_within / self.orientation_count
 
     def numbers(self) -> dict[str, Any]:
-        """The headline figures, those that the statistics tell: see `summary` for their meaning."""
-        told: dict[str, Any] = {
+        """The headline figures by name, as far as the statistics give them: see `summary` for their meaning.
+
+        Volumes are in m^3; `reach` and `height` [m] are measured from the base of axis 1, across and along
+        that axis; the rest are numbers, shares from 0 to 1, and seconds.
+        """
+        figures: dict[str, Any] = {
             "positions": self.positions.count,
             "orientations": self.orientation_count,
             "goals": self.goals,
         }
         if "reachable" in self.arrays:
-            told["goals_reachable"] = float(self.reachable.sum() / self.goals)
+            figures["goals_reachable"] = float(self.reachable.sum() / self.goals)
         if "reachable_within" in self.arrays:
-            told |= self._numbers_within()
+            figures |= self._numbers_within()
         for end in ("", "_within"):
             if f"solutions{end}" in self.arrays and f"reachable{end}" in self.arrays:
                 solutions, reached = self._read(f"solutions{end}"), self._read(f"reachable{end}")
-                told[f"solutions_per_goal{end}"] = float(solutions.sum() / max(reached.sum(), 1))
+                figures[f"solutions_per_goal{end}"] = float(solutions.sum() / max(reached.sum(), 1))
         rate = self.goals / self.seconds if self.seconds else 0.0
-        return {**told, "seconds": self.seconds, "goals_per_second": rate}
+        return {**figures, "seconds": self.seconds, "goals_per_second": rate}
 
     def _numbers_within(self) -> dict[str, float]:
+        """The figures of what is reachable within the joint limits."""
         hit, dexterity = self.reachable_within > 0, self.dexterity
-        axis = np.asarray(self.arm.base, float)
-        away = self.positions.points()[hit] - axis[:3, 3]
-        across = away - (away @ axis[:3, 2])[:, None] * axis[:3, 2]
+        base = np.asarray(self.arm.base, float)
+        offset = self.positions.points()[hit] - base[:3, 3]
+        height = offset @ base[:3, 2]
+        across = offset - height[:, None] * base[:3, 2]
         volumes = {}
         if not isinstance(self.positions, Surface):
             volumes["volume"] = self.positions.volume(hit)
             volumes["dexterous_volume"] = self.positions.volume(dexterity >= 0.5)
         return {
             "reach": float(np.linalg.norm(across, axis=1).max(initial=0.0)),
-            "height": float((away @ axis[:3, 2]).max(initial=0.0)),
+            "height": float(height.max(initial=0.0)),
             "positions_reachable": float(hit.mean()),
             "positions_dexterous": float((dexterity >= 0.5).mean()),
             "mean_dexterity": float(dexterity[hit].mean()) if hit.any() else 0.0,
@@ -159,7 +172,7 @@ class ReachMap:
         }
 
     def summary(self) -> str:
-        """The map in a few lines for people."""
+        """The headline figures in a few lines for people."""
         n = self.numbers()
         rolls = f", free to turn ({self.free_rolls} tried)" if self.free_rolls > 1 else ""
         lines = [
@@ -208,7 +221,11 @@ class ReachMap:
         return {name: self._read(name) for name in self.arrays}
 
     def to_xarray(self) -> Any:
-        """An `xarray.Dataset` of the statistics over the axes of the positions [m]."""
+        """An `xarray.Dataset` of the statistics over the axes of the positions [m].
+
+        Raises:
+            ImportError: xarray is not installed.
+        """
         try:
             import xarray
         except ImportError as error:
@@ -221,59 +238,58 @@ class ReachMap:
         facts = {"arm": self.arm.name, "orientations": self.orientation_count, "dtype": self.dtype}
         return xarray.Dataset(values, coords=coords, attrs={**facts, "ikjax_schema": manifest.SCHEMA})
 
-    def save(self, out, *, chunk=None, force: bool = False) -> None:
-        """Write the map as a zarr v3 group; see `store`.
+    def save(
+        self, out: str | os.PathLike, *, chunk: Sequence[int] | None = None, force: bool = False
+    ) -> None:
+        """Write the map as a zarr v3 group; see `maps.store.store`.
 
         Args:
             out: A folder, or a URL that tensorstore knows.
-            chunk: Positions of a chunk along each axis.
+            chunk: Positions of a chunk along each axis; by default about 2^26 goals.
             force: Replace a map that is there.
 
         Raises:
             FileExistsError: Something is there.
+            StorageError: It cannot be written.
+            ValueError: Another process is writing there.
         """
-        fixed = manifest.fixed(self.positions, self.orientations)
-        study = manifest.of_study(
-            self.arm,
-            self.positions,
-            self.orientations,
-            self.free_rolls,
-            self.dtype,
-            self.statistic_specs,
-            fixed,
-        )
+        spec, fixed = manifest.describe(self)
         chunk = (
             manifest.default_chunk(self.positions.shape, self.orientation_count)
             if chunk is None
             else tuple(chunk)
         )
-        head = manifest.Head(study, manifest.of_arm(self.arm), chunk, "sweeping", 0.0)
-        place, values = Place(out), self.to_numpy()
-        with Lock(place):
-            disk = store.begin(place, head, fixed, resume=False, force=force, chunk_given=True)
+        head = manifest.Head(spec, manifest.arm_spec(self.arm), chunk, "sweeping", 0.0)
+        storage, values = Storage(out), self.to_numpy()
+        with Lock(storage):
+            disk = store.begin(storage, head, fixed, resume=False, force=force, chunk_given=True)
             for number in range(len(disk.units)):
                 box = disk.box(number)
                 disk.settle(number, disk.put(number, {name: value[box] for name, value in values.items()}))
-            disk.say("complete", self.seconds)
+            disk.write_state("complete", self.seconds)
 
     @staticmethod
-    def load(out) -> "ReachMap":
+    def load(out: str | os.PathLike) -> "ReachMap":
         """A stored map; its statistics are read when they are asked for.
 
+        Args:
+            out: A folder, or a URL that tensorstore knows.
+
         Raises:
-            ValueError: No map there, of another schema, unfinished, or damaged: the message says which. A
-                chunk that is damaged is found when it is read.
+            ValueError: There is no map, or it has another schema, is unfinished or damaged: the message says
+                which. A damaged chunk is found when it is read.
+            StorageError: It cannot be read.
         """
-        place = Place(out)
-        head, arrays = store.read(place)
-        known = {name: np.asarray(arrays[name]) for name in head.spec["fixed"]}
-        for name, array in known.items():
-            if manifest.hash_of(array) != head.spec["fixed"][name]["sha256"]:
-                raise ValueError(f"{place}: {name} is not that of its spec")
+        storage = Storage(out)
+        head, arrays = store.read(storage)
+        fixed = {name: np.asarray(arrays[name]) for name in head.spec["fixed"]}
+        for name, array in fixed.items():
+            if manifest.array_hash(array) != head.spec["fixed"][name]["sha256"]:
+                raise ValueError(f"{storage}: {name} is not that of its spec")
         return ReachMap(
-            arm=manifest.to_arm(head.arm),
-            positions=_positions(head.spec["positions"], known),
-            orientations=orientations_from(head.spec["orientations"], known.get("rotations")),
+            arm=manifest.arm_from_spec(head.arm),
+            positions=_positions_from_spec(head.spec["positions"], fixed),
+            orientations=orientations_from_spec(head.spec["orientations"], fixed.get("rotations")),
             free_rolls=head.spec["free_rolls"],
             dtype=head.spec["dtype"],
             statistic_specs=head.spec["statistics"],
@@ -282,13 +298,13 @@ class ReachMap:
         )
 
 
-def _positions(said: dict, known: dict[str, np.ndarray]) -> Grid | Shell | Surface:
-    """The set of positions that a spec describes."""
-    if said["kind"] == "Surface":
-        return Surface(known["points"], known.get("normals"))
-    if said["kind"] == "Shell":
-        return Shell(tuple(said["center"]), tuple(said["radii"]), said["directions"])
-    return Grid(tuple(said["origin"]), said["spacing"], tuple(said["shape"]))
+def _positions_from_spec(spec: dict[str, Any], fixed: dict[str, np.ndarray]) -> Grid | Shell | Surface:
+    """The set of positions that a spec describes; `Surface` needs the arrays that the map stores of it."""
+    if spec["kind"] == "Surface":
+        return Surface(fixed["points"], fixed.get("normals"))
+    if spec["kind"] == "Shell":
+        return Shell(tuple(spec["center"]), tuple(spec["radii"]), spec["directions"])
+    return Grid(tuple(spec["origin"]), spec["spacing"], tuple(spec["shape"]))
 
 
 FIGURES = (
@@ -303,10 +319,20 @@ FIGURES = (
     ("solutions_per_goal_within", "{:.3f}"),
     ("goals_per_second", "{:,.0f}"),
 )
+"""Figures of `ReachMap.numbers` that are compared, and their formats."""
 
 
 def compare(then: ReachMap, now: ReachMap) -> dict[str, Any]:
-    """The figures of both by name, as [then, now]; on one grid also `positions_that_differ`."""
+    """The figures of two maps by name, each as [then, now].
+
+    Args:
+        then: The earlier map, or the first.
+        now: The later map, or the second.
+
+    Returns:
+        The figures that both maps have. If they have the same positions and as many orientations, also
+        `positions_that_differ`: how many have another number of orientations reachable within limits.
+    """
     before, after = then.numbers(), now.numbers()
     shared = [name for name, _ in FIGURES if name in before and name in after]
     figures: dict[str, Any] = {name: [before[name], after[name]] for name in shared}
@@ -321,7 +347,12 @@ def compare(then: ReachMap, now: ReachMap) -> dict[str, Any]:
 
 
 def in_words(figures: dict[str, Any], then: str) -> str:
-    """What `compare` found, a line a figure."""
+    """The figures of `compare` in words, one line for each.
+
+    Args:
+        figures: From `compare`.
+        then: Name of the earlier map.
+    """
     lines = [f"compared with {then}"]
     for name, form in FIGURES:
         if name not in figures:

@@ -1,8 +1,7 @@
-"""Pictures: workspaces in slices, solids, discs and points, two of them compared, branches, the arm.
+"""Pictures: workspaces as slices, solids, discs and points, two of them compared, branches, the arm.
 
-Needs matplotlib (`pip install ikjax[viz]`), which is imported at the first
-picture. A figure is left open for `plt.show()`, unless it is given a path: then it is saved and closed.
-Metres everywhere, to one scale on all axes.
+Needs matplotlib (`pip install ikjax[viz]`), which is imported for the first picture. A figure stays open for
+`plt.show()`; with a path it is saved and closed. All lengths are in metres, with the same scale on all axes.
 """
 
 from ikjax.plot.bars import histogram

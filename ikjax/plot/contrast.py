@@ -1,4 +1,4 @@
-"""Two maps of the same positions: what one arm, or one mounting, reaches that the other does not."""
+"""Two maps of the same positions compared: of two arms, or of one arm in two places."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -7,7 +7,7 @@ import numpy as np
 
 from ikjax.maps.sets.positions import Grid
 from ikjax.plot.disc import head, label
-from ikjax.plot.planes import Plane, Slice, kept, plane_of, ticks_of, usual
+from ikjax.plot.planes import Plane, Slice, default_slices, plane_of, shown_axes, ticks_of
 from ikjax.plot.points import facing, scatter
 from ikjax.plot.slices import draw_plane, span_of
 from ikjax.plot.stick import box
@@ -15,15 +15,15 @@ from ikjax.plot.style import DIVERGING, INK, MAP, STYLE, finish, pyplot
 
 
 class Change(NamedTuple):
-    """Positions by what became of their dexterity."""
+    """Numbers of positions by the change of their dexterity."""
 
     gained: int
-    """Not reached then, reached now."""
+    """Reached in the second map only."""
     better: int
     same: int
     worse: int
     lost: int
-    """Reached then, not reached now."""
+    """Reached in the first map only."""
 
     def __str__(self) -> str:
         return (
@@ -33,7 +33,7 @@ class Change(NamedTuple):
 
 
 def change(then, now) -> Change:
-    """What became of each position that either map reaches within the joint limits.
+    """The change at each position that either map reaches within the joint limits.
 
     Raises:
         ValueError: Maps of other positions.
@@ -50,24 +50,25 @@ def change(then, now) -> Change:
 
 
 def comparison(then, now, path=None, slices: Sequence[Slice] | None = None):
-    """Two maps side by side, and where the second has more dexterity, or less, than the first.
+    """Two maps side by side, and where the second has more or less dexterity than the first.
 
-    Hatched is gained (dots) or lost (strokes) altogether, so that it shows in black and white too.
+    Positions that only one map reaches are hatched, dots for gained and strokes for lost, so that they are
+    seen in black and white too.
 
     Args:
         then, now: `ReachMap`s of the same positions.
         path: Where to save the picture.
-        slices: Planes of a box grid, a row each; by default an upright one through the base and a level one.
+        slices: Planes of a box grid, a row each; by default a vertical and a horizontal one.
 
     Returns:
         The figure.
 
     Raises:
         ImportError: Without matplotlib.
-        ValueError: Maps of other positions, slices of no box grid.
+        ValueError: Maps of other positions, slices of a map that is no box grid.
     """
     plt = pyplot()
-    what = change(then, now)
+    changes = change(then, now)
     if not isinstance(then.positions, Grid) and slices is not None:
         raise ValueError(f"slices are of a box grid, got {then.positions.in_words()}")
     highest = max(float(np.max(reach.dexterity, initial=0)) for reach in (then, now))
@@ -82,12 +83,13 @@ def comparison(then, now, path=None, slices: Sequence[Slice] | None = None):
         label(figure, middle, "change of the share", axes[2::3])
         note = "Dots: gained, strokes: lost." if isinstance(then.positions, Grid) else ""
         names = f"{then.arm.name} and {now.arm.name}" if then.arm.name != now.arm.name else now.arm.name
-        head(figure, f"{names}, first and second map", f"{what}.   {note}")
+        head(figure, f"{names}, first and second map", f"{changes}.   {note}")
     return finish(figure, path)
 
 
 def _in_slices(then, now, top: float, slices) -> tuple[Any, Any, Any]:
-    chosen = [usual(now)[0], usual(now)[3]] if slices is None else slices
+    vertical, _, _, horizontal, _ = default_slices(now)
+    chosen = [vertical, horizontal] if slices is None else slices
     planes = [plane_of(now, piece) for piece in chosen]
     spans = [span_of(reach, np.asarray(reach.arm.base, float)[None, :3, 3]) for reach in (then, now)]
     span = np.stack([np.minimum(*spans)[:, 0], np.maximum(*spans)[:, 1]], axis=1)
@@ -105,7 +107,7 @@ def _in_slices(then, now, top: float, slices) -> tuple[Any, Any, Any]:
 
 
 def _draw_change(ax, then, now, plane: Plane, span: np.ndarray, most: float) -> Any:
-    across, up = kept(plane.axis)
+    across, up = shown_axes(plane.axis)
     ticks, half = ticks_of(now), now.positions.spacing / 2
     frame = (ticks[across][0] - half, ticks[across][-1] + half, ticks[up][0] - half, ticks[up][-1] + half)
     a, b = (np.asarray(reach.dexterity).take(plane.layer, plane.axis).T for reach in (then, now))
@@ -137,14 +139,14 @@ def _in_points(then, now, top: float, _) -> tuple[Any, Any, Any]:
         ax.set_title(name, fontweight="bold", color=INK, y=0.98)
     for ax, reach in zip(axes, (then, now), strict=False):
         sides = scatter(ax, reach, reach.dexterity, {"cmap": MAP, "vmin": 0, "vmax": top})
-    grown = now.dexterity - then.dexterity
-    most = max(0.05, float(np.abs(grown).max()))
+    difference = now.dexterity - then.dexterity
+    most = max(0.05, float(np.abs(difference).max()))
     size = float(np.clip(14000 / len(points), 2, 40))
-    ahead = facing(axes[2], now)
+    visible = facing(axes[2], now)
     middle = axes[2].scatter(
-        *points[ahead].T,
+        *points[visible].T,
         s=size,
-        c=np.ravel(grown)[ahead],
+        c=np.ravel(difference)[visible],
         cmap=DIVERGING,
         vmin=-most,
         vmax=most,

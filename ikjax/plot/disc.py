@@ -1,7 +1,8 @@
 """The sphere of directions as two discs of equal area: which ways a tool can point, and maps of shells.
 
-Every part of the sphere has its true share of the discs' area, which a globe seen from one side
-has not. Both discs are seen from above, the lower one as through the upper.
+Areas on the discs are proportional to areas on the sphere. Both discs are seen from above, the lower one as
+if through the upper.
+
 Source: Lambert's azimuthal equal-area projection; Snyder, Map projections, USGS 1395 (1987), section 24.
 """
 
@@ -17,13 +18,13 @@ from ikjax.core.text import picture
 from ikjax.maps.sets.orientations import cone
 from ikjax.maps.sets.surface import surface
 from ikjax.maps.sweep import sweep
-from ikjax.plot.style import INK, MAP, PALE, STYLE, finish, flat, pyplot
+from ikjax.plot.style import INK, MAP, PALE, STYLE, finish, one_color, pyplot
 
 PIXELS = 301
 
 
 class Ball(NamedTuple):
-    """Values of directions."""
+    """Values on a sphere of directions."""
 
     title: str
     directions: np.ndarray
@@ -31,26 +32,26 @@ class Ball(NamedTuple):
     within: np.ndarray
     """(m,) share reached within the joint limits."""
     anyhow: np.ndarray
-    """(m,) bool: reached, joint limits left out."""
+    """(m,) bool: reached, joint limits ignored."""
 
 
 def globe(arm: Arm, points, path=None, *, directions: int = 4000, turns: int = 12):
-    """Which ways the tool's z axis can point at some points, and with how many turns about itself.
+    """Which directions the tool's z axis can have at some points, and with how many turns about itself.
 
-    White cannot be reached; grey can, but not within the joint limits.
+    White directions cannot be reached; grey ones can, but only beyond the joint limits.
 
     Args:
         arm: An arm whose task is a pose.
-        points: (3,) or (k, 3) in the world [m], a column of the picture each.
+        points: (3,) or (k, 3) in the world [m]; each is a column of the picture.
         path: Where to save the picture.
-        directions, turns: Of the tool's axis, spread evenly over the sphere, and turns about it.
+        directions, turns: Number of directions, spread evenly over the sphere, and of turns about each.
 
     Returns:
         The figure.
 
     Raises:
         ImportError: Without matplotlib.
-        ValueError: An arm of no family, or one that does not turn its tool freely.
+        ValueError: An arm of no family, or one whose task is not a full pose.
     """
     plt = pyplot()
     if arm.task != "pose":
@@ -69,13 +70,15 @@ def globe(arm: Arm, points, path=None, *, directions: int = 4000, turns: int = 1
     with plt.rc_context(STYLE):
         figure, image = pairs(balls, sides, 1.0)
         label(figure, image, f"share of {turns} turns about the tool's axis")
-        said = f"Which ways the tool can point, within the joint limits. {directions:,} directions a point."
-        head(figure, arm.name, said)
+        caption = (
+            f"Which ways the tool can point, within the joint limits. {directions:,} directions a point."
+        )
+        head(figure, arm.name, caption)
     return finish(figure, path)
 
 
 def shell_map(reach, path=None):
-    """A shell's map: the directions from its center as discs, a column for each of up to four radii."""
+    """The map of a shell: directions from its center on discs, a column for each of up to four radii."""
     plt = pyplot()
     count = len(reach.positions.radii)
     chosen = np.unique(np.linspace(0, count - 1, min(count, 4)).round().astype(int))
@@ -95,13 +98,13 @@ def shell_map(reach, path=None):
         label(figure, image, "share of orientations reachable")
         x, y, z = (f"{c:.2f}".replace("-", "\N{MINUS SIGN}") for c in reach.positions.center)
         place = f"{reach.positions.in_words()} about ({x}, {y}, {z}) m"
-        said = f"{place} × {reach.orientation_count:,} orientations."
-        head(figure, reach.arm.name, said)
+        caption = f"{place} × {reach.orientation_count:,} orientations."
+        head(figure, reach.arm.name, caption)
     return finish(figure, path)
 
 
 def pairs(balls: list[Ball], sides: tuple[str, str], top: float) -> tuple[Any, Any]:
-    """Two discs below each other for every ball; the figure and an image for the color bar."""
+    """Two discs, one below the other, for every ball; the figure and an image for the color bar."""
     plt = pyplot()
     size = (max(3.1 * len(balls) + 1.2, 5.2), 6.9)
     figure, axes = plt.subplots(2, len(balls), figsize=size, layout="constrained", squeeze=False)
@@ -126,7 +129,7 @@ def _disc(ax, ball: Ball, up: bool, top: float):
     within, anyhow, outside = ball.within[nearest], ball.anyhow[nearest], r > 1
     settings: dict[str, Any] = {"origin": "lower", "extent": (-1, 1, -1, 1)}
     ring = pyplot().Circle((0, 0), 1, fill=False, ec="#888888", lw=0.8)
-    ax.imshow(np.ma.masked_where(outside | ~anyhow, r), cmap=flat(PALE), **settings).set_clip_path(ring)
+    ax.imshow(np.ma.masked_where(outside | ~anyhow, r), cmap=one_color(PALE), **settings).set_clip_path(ring)
     shown = np.ma.masked_where(outside | (within == 0), within)
     image = ax.imshow(shown, cmap=MAP, vmin=0, vmax=top, **settings)
     ax.add_patch(ring)
@@ -145,7 +148,7 @@ def _disc(ax, ball: Ball, up: bool, top: float):
 
 
 def label(figure, image, text: str, axes=None) -> None:
-    """The color bar and what it measures, beside some axes or all."""
+    """A color bar with its label, beside some axes or all."""
     bar = figure.colorbar(
         image, ax=figure.axes if axes is None else axes, shrink=0.8, aspect=32, pad=0.02, format="{x:.0%}"
     )
@@ -153,10 +156,10 @@ def label(figure, image, text: str, axes=None) -> None:
     bar.outline.set_visible(False)
 
 
-def head(figure, name: str, said: str) -> None:
-    """The arm's name, and below it what is shown."""
+def head(figure, name: str, caption: str) -> None:
+    """The arm's name as the title, and below it what is shown."""
     left = {"x": 0.012, "ha": "left", "va": "top"}
     figure.suptitle(picture(name), y=0.985, fontsize=15, fontweight="bold", **left)
-    # Nine points are about thirteen letters an inch.
-    said = "\n".join(textwrap.wrap(said, int(14 * figure.get_figwidth())))
-    figure.text(y=0.985 - 0.36 / figure.get_figheight(), s=said, fontsize=9, color="#444444", **left)
+    # At nine points about thirteen letters are an inch wide.
+    caption = "\n".join(textwrap.wrap(caption, int(14 * figure.get_figwidth())))
+    figure.text(y=0.985 - 0.36 / figure.get_figheight(), s=caption, fontsize=9, color="#444444", **left)

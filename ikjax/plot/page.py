@@ -1,7 +1,7 @@
-"""A map on one page: HTML that needs nothing else, its pictures inside it.
+"""A map on one page: self-contained HTML, with its pictures inside.
 
-No script, no font and no picture from elsewhere, so that a page that is kept or sent stays
-readable; what comes out of a map is escaped, since a map may come from anyone.
+It loads no script, font or picture from elsewhere, so that a stored or sent page stays readable. All text of
+a map is escaped, because a map may come from anyone.
 """
 
 import base64
@@ -41,15 +41,15 @@ p {{ max-width: 75ch }}
 
 
 def page(reach: ReachMap, then: ReachMap | None = None, name: str = "map.zarr") -> str:
-    """A map in words and pictures, and how to make it again; with an earlier map, compared with it.
+    """A map in text and pictures, with the commands that make it again; and compared with an earlier map.
 
     Args:
         reach: The map.
         then: Another map to compare with; pictures are compared where the positions are the same.
-        name: Where the map lies, for the title and the commands.
+        name: Path of the map, for the title and the commands.
 
     Returns:
-        The HTML, whole.
+        The whole HTML.
 
     Raises:
         ImportError: Without matplotlib.
@@ -65,49 +65,51 @@ def page(reach: ReachMap, then: ReachMap | None = None, name: str = "map.zarr") 
 
     if then is not None:
         parts.append(f"<h2>Compared</h2>\n{_text(in_words(compare(then, reach), 'the first map'))}")
-    if then is not None and then.positions == reach.positions and _counted(then) and _counted(reach):
+    if then is not None and then.positions == reach.positions and _has_counts(then) and _has_counts(reach):
         words = "Orange has lost and purple has gained; dots: newly reached, strokes: no longer reached."
         show("Second against first", words, comparison(then, reach))
-    if _counted(reach):
+    if _has_counts(reach):
         words = "Share of orientations reached. Grey: beyond the joint limits alone. White: out of reach."
         show("Dexterity", words, reach_map(reach))
-    if _counted(reach) and isinstance(reach.positions, Grid) and min(reach.positions.shape) > 1:
+    if _has_counts(reach) and isinstance(reach.positions, Grid) and min(reach.positions.shape) > 1:
         words = "Each solid is where at least so large a share of the orientations is reached."
         show("Nested solids", words, nested(reach))
-    if _counted(reach):
+    if _has_counts(reach):
         show("How it is spread", "By volume, or by points on a surface.", histogram(reach))
-    places = _places(reach) if _counted(reach) and arm.task == "pose" and arm.family else np.empty((0, 3))
+    places = _places(reach) if _has_counts(reach) and arm.task == "pose" and arm.family else np.empty((0, 3))
     if len(places):
         words = (
             "Directions of the tool's z axis as discs of equal area, both seen from above: at the "
-            "position of most dexterity, at a middling one, and at the poorest."
+            "position of greatest dexterity, at a median one, and at the least dexterous one."
         )
         show("Which ways the tool can point", words, globe(arm, places))
     parts.append(f"<h2>The arm</h2>\n{_text(str(arm))}")
     parts.append(f"<h2>How to repeat it</h2>\n{_text(repeat(reach, name))}")
-    study = _study(reach)
+    spec, _ = manifest.describe(reach)
     parts.append(
-        f"<h2>Spec</h2>\n<p>Fingerprint {manifest.fingerprint(study)}. All that the numbers depend on:</p>\n"
-        f"<details><summary>JSON</summary>{_text(json.dumps(study, indent=1))}</details>\n</body></html>\n"
+        f"<h2>Spec</h2>\n<p>Fingerprint {manifest.fingerprint(spec)}. All that the numbers depend on:</p>\n"
+        f"<details><summary>JSON</summary>{_text(json.dumps(spec, indent=1))}</details>\n</body></html>\n"
     )
     return "\n".join(parts)
 
 
 def repeat(reach: ReachMap, name: str) -> str:
-    """Commands that make a map again, to be run where `name` is."""
-    few = isinstance(reach.orientations, Even | Cone)
-    which = repr(reach.orientations) if few else f"{reach.orientation_count:,} rotations"
-    words = {key: _statistic(key, told) for key, told in reach.statistic_specs.items()}
+    """Commands that make a map again, to be run in the folder of `name`."""
+    is_short = isinstance(reach.orientations, Even | Cone)
+    which = repr(reach.orientations) if is_short else f"{reach.orientation_count:,} rotations"
+    words = {key: _in_python(key, spec) for key, spec in reach.statistic_specs.items()}
     names = ", ".join(words.values())
-    own = [key for key, word in words.items() if word == key]
-    given = "".join(f"{key} = ...  # the ikjax.maps.Measure of that name, as it was\n" for key in own)
+    custom = [key for key, word in words.items() if word == key]
+    given = "".join(f"{key} = ...  # the ikjax.maps.Measure of that name, as it was\n" for key in custom)
     certify = ", certify=True" if manifest.is_certified(reach.statistic_specs) else ""
     shell = shlex.quote(name)
     return f"""\
-# in Python: the same arm, positions and orientations ({which}) import ikjax, jax
-jax.config.update("jax_enable_x64", True) {given}old = ikjax.ReachMap.load({name!r}) new =
-ikjax.sweep(old.arm, old.positions, old.orientations, free_rolls={reach.free_rolls},
-dtype={reach.dtype!r}{certify},
+# in Python: the same arm, positions and orientations ({which})
+import ikjax, jax
+jax.config.update("jax_enable_x64", True)
+{given}old = ikjax.ReachMap.load({name!r})
+new = ikjax.sweep(old.arm, old.positions, old.orientations,
+                  free_rolls={reach.free_rolls}, dtype={reach.dtype!r}{certify},
                   statistics=[{names}], out="again.zarr")
 assert all(new.to_numpy()[k].tobytes() == v.tobytes() for k, v in old.to_numpy().items())
 
@@ -116,31 +118,25 @@ ikjax show {shell}
 ikjax show {shell} again.zarr"""
 
 
-def _statistic(key: str, told: dict) -> str:
-    """A statistic in Python; of a measure of one's own its name, as a variable."""
-    if "near" in told:
-        position, rotation = told["near"]
+def _in_python(key: str, spec: dict) -> str:
+    """A statistic as a Python expression; a custom measure is a variable of its name."""
+    if "near" in spec:
+        position, rotation = spec["near"]
         return f"ikjax.maps.Near({position!r}, {rotation!r}, {key!r})"
     return repr(key) if key in statistics.available() else key
 
 
-def _counted(reach: ReachMap) -> bool:
-    """Whether the map has what pictures of dexterity are made of."""
+def _has_counts(reach: ReachMap) -> bool:
+    """Whether the map has the counts that pictures of dexterity need."""
     return {"reachable", "reachable_within"} <= reach.arrays.keys()
 
 
 def _places(reach: ReachMap) -> np.ndarray:
-    """Positions of most, median and least dexterity of those that are reached, (k, 3)."""
+    """Of the reached positions those of greatest, median and least dexterity, (k, 3)."""
     share = np.ravel(reach.dexterity)
     order = np.argsort(share, kind="stable")[int((share == 0).sum()) :]
     chosen = [order[-1], order[len(order) // 2], order[0]] if len(order) else []
     return reach.positions.points().reshape(-1, 3)[list(dict.fromkeys(chosen))]
-
-
-def _study(reach: ReachMap) -> dict:
-    fixed = manifest.fixed(reach.positions, reach.orientations)
-    parts = (reach.arm, reach.positions, reach.orientations, reach.free_rolls, reach.dtype)
-    return manifest.of_study(*parts, reach.statistic_specs, fixed)
 
 
 def _text(words: str) -> str:

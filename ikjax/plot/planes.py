@@ -1,4 +1,4 @@
-"""Layers of a box grid: which, where they lie, and where in one an arm is shown well."""
+"""Layers of a box grid: which are shown, where they lie, and a posture that shows the arm well in one."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -12,7 +12,7 @@ from ikjax.ik.solve import solve
 from ikjax.plot.stick import sticks
 
 Slice = tuple[str, float]
-"""The axis a plane is square to, "x", "y" or "z", and where on it the plane lies [m]."""
+"""The axis normal to a plane, "x", "y" or "z", and the plane's coordinate on it [m]."""
 
 
 class Plane(NamedTuple):
@@ -21,7 +21,7 @@ class Plane(NamedTuple):
     axis: int
     layer: int
     at: float
-    """Where the layer really lies [m]."""
+    """Coordinate of the layer [m]."""
 
 
 def ticks_of(reach) -> tuple[np.ndarray, ...]:
@@ -31,6 +31,7 @@ def ticks_of(reach) -> tuple[np.ndarray, ...]:
 
 
 def plane_of(reach, piece: Slice) -> Plane:
+    """The layer of the grid nearest to a slice."""
     try:
         letter, value = piece
         axis, value = ("x", "y", "z").index(letter), float(value)
@@ -41,8 +42,8 @@ def plane_of(reach, piece: Slice) -> Plane:
     return Plane(axis, layer, float(ticks[layer]))
 
 
-def usual(reach) -> list[Slice]:
-    """Both upright planes through the base, and level ones where the dexterity lies."""
+def default_slices(reach) -> list[Slice]:
+    """Both vertical planes through the base, and three horizontal ones where most dexterity is."""
     base = np.asarray(reach.arm.base, float)[:3, 3]
     weight = np.asarray(reach.dexterity, float).sum((0, 1))
     share = np.cumsum(weight) / max(float(weight.sum()), 1e-30)
@@ -51,29 +52,29 @@ def usual(reach) -> list[Slice]:
     return [("y", float(base[1])), ("x", float(base[0])), *level]
 
 
-def kept(axis: int) -> tuple[int, int]:
-    """The axes that a plane shows, level first."""
+def shown_axes(axis: int) -> tuple[int, int]:
+    """The axes that a plane shows, the horizontal one first."""
     across, up = (k for k in range(3) if k != axis)
     return across, up
 
 
 def posture(reach, plane: Plane) -> np.ndarray:
-    """The arm at a dexterous cell well out in the plane, elbow up and as flat in it as can be."""
-    place, across = _place_to_touch(reach, plane), kept(plane.axis)[0]
+    """The arm at a dexterous position far out in the plane, elbow up and as much in the plane as possible."""
+    place, across = _place_for_the_tool(reach, plane), shown_axes(plane.axis)[0]
 
-    def looks(q) -> float:
+    def quality(q) -> float:
         line = sticks(reach.arm, q).line
         behind = min(0.0, float(line[1:-1, across].min() - line[0, across]))
         return line[:, 2].mean() + behind - 2 * np.ptp(line[:, plane.axis])
 
-    return best_posture(reach.arm, place, looks)
+    return best_posture(reach.arm, place, quality)
 
 
-def best_posture(arm: Arm, place, looks: Callable[[np.ndarray], float], frame=None) -> np.ndarray:
-    """Of the solutions at a place, within limits if any is, the one that looks best.
+def best_posture(arm: Arm, place, quality: Callable[[np.ndarray], float], frame=None) -> np.ndarray:
+    """Of the solutions at a place, within the limits if possible, the one of greatest `quality`.
 
-    The tool is turned about y and upside down in the world; with a frame (3, 3), about its z axis only.
-    Where there is no place, the joints are at zero or as near to it as the limits allow.
+    The tool is tried turned about y, upright and upside down in the world; with a frame (3, 3), turned about
+    the frame's z axis only. Without a place, the joints are at zero or as near to it as the limits allow.
     """
     if place is None or arm.family is None:
         return np.clip(0.0, *np.asarray(arm.limits, float).T)
@@ -89,20 +90,20 @@ def best_posture(arm: Arm, place, looks: Callable[[np.ndarray], float], frame=No
     inside = within_limits(arm, sol)
     valid = np.asarray(inside.valid)
     found = np.asarray(inside.q)[valid if valid.any() else np.asarray(sol.valid)]
-    return max(found, key=looks) if len(found) else best_posture(arm, None, looks)
+    return max(found, key=quality) if len(found) else best_posture(arm, None, quality)
 
 
-def _place_to_touch(reach, plane: Plane) -> np.ndarray | None:
-    """Where in the plane a tool shows the arm well: dexterous, in front of the base, far from it."""
+def _place_for_the_tool(reach, plane: Plane) -> np.ndarray | None:
+    """A place in the plane for the tool: dexterous, in front of the base and far from it."""
     layer = np.asarray(reach.dexterity).take(plane.layer, plane.axis)
     if not layer.any():
         return None
-    across, up = kept(plane.axis)
+    across, up = shown_axes(plane.axis)
     ticks, base = ticks_of(reach), np.asarray(reach.arm.base, float)[:3, 3]
-    ahead = np.maximum(ticks[across] - base[across], 1e-6)[:, None]
+    forward = np.maximum(ticks[across] - base[across], 1e-6)[:, None]
     rise = np.maximum(ticks[up] - base[up], 1e-6)[None, :]
-    # The square asks for dexterity first; the root of the height keeps the tool off the floor.
-    i, j = np.unravel_index(np.argmax(layer**2 * ahead * np.sqrt(rise)), layer.shape)
+    # The square gives dexterity most weight; the root of the height keeps the tool above the floor.
+    i, j = np.unravel_index(np.argmax(layer**2 * forward * np.sqrt(rise)), layer.shape)
     place = np.zeros(3)
     place[[across, up, plane.axis]] = ticks[across][i], ticks[up][j], plane.at
     return place

@@ -1,4 +1,4 @@
-"""A map of points, a part's surface or a list, beside the arm."""
+"""A map of points, of a surface or from a list, with the arm."""
 
 import math
 from typing import Any
@@ -14,7 +14,7 @@ VIEWS = (("seen from +x, \N{MINUS SIGN}y", -52), ("seen from \N{MINUS SIGN}x, +y
 
 
 def point_map(reach, path=None, q=None):
-    """The points colored by dexterity from two sides, with the arm at its most dexterous one."""
+    """The points colored by dexterity, seen from two sides, with the arm at the most dexterous one."""
     plt = pyplot()
     top = max(0.1, math.ceil(10 * float(np.max(reach.dexterity, initial=0))) / 10)
     body = sticks(reach.arm, _posture(reach) if q is None else q)
@@ -31,12 +31,12 @@ def point_map(reach, path=None, q=None):
         label(figure, image, "share of orientations reachable")
         hit = float((reach.dexterity > 0).mean())
         seen = ", seen from the surface" if getattr(reach.positions, "normals", None) is not None else ""
-        said = (
+        caption = (
             f"{hit:.0%} of {reach.positions.in_words()} reached within the joint limits, in "
             f"{float(reach.dexterity.mean()):.0%} of {reach.orientation_count:,} orientations{seen}, "
             "on average."
         )
-        head(figure, reach.arm.name, said)
+        head(figure, reach.arm.name, caption)
         from matplotlib.lines import Line2D
 
         rings = [
@@ -51,15 +51,15 @@ def point_map(reach, path=None, q=None):
 
 
 def scatter(ax, reach, values: np.ndarray, colors: dict[str, Any]) -> Any:
-    """Points that are reached in colors, others as rings; the colored ones, for a color bar.
+    """Reached points in colors, others as rings; returns the colored ones, for a color bar.
 
-    Of a surface with normals only what faces the viewer is drawn: the rest is behind it.
+    Of a surface with normals only the points that face the viewer are drawn.
     """
     points = reach.positions.points().reshape(-1, 3)
     size = float(np.clip(14000 / len(points), 2, 40))
-    ahead = facing(ax, reach)
-    points, values = points[ahead], np.ravel(values)[ahead]
-    within, anyhow = (np.ravel(np.asarray(x))[ahead] > 0 for x in (reach.reachable_within, reach.reachable))
+    visible = facing(ax, reach)
+    points, values = points[visible], np.ravel(values)[visible]
+    within, anyhow = (np.ravel(np.asarray(x))[visible] > 0 for x in (reach.reachable_within, reach.reachable))
     ring = {"depthshade": False, "linewidths": 0.6, "zorder": 1}
     ax.scatter(*points[~anyhow].T, s=size, c="white", edgecolors=INK, **ring)
     ax.scatter(*points[anyhow & ~within].T, s=size, c=PALE, edgecolors="#9a9a9a", **ring)
@@ -68,7 +68,7 @@ def scatter(ax, reach, values: np.ndarray, colors: dict[str, Any]) -> Any:
 
 
 def facing(ax, reach) -> np.ndarray:
-    """Which points a viewer of the axis sees, (n,) bool: all where there are no normals."""
+    """Which points face the viewer, (n,) bool; all where there are no normals."""
     normals = getattr(reach.positions, "normals", None)
     if normals is None:
         return np.ones(reach.positions.count, bool)
@@ -77,7 +77,7 @@ def facing(ax, reach) -> np.ndarray:
 
 
 def _posture(reach) -> np.ndarray:
-    """The arm at its most dexterous point, its links as high as can be."""
+    """The arm at its most dexterous point, its links as high as possible."""
     arm, dexterity = reach.arm, np.ravel(reach.dexterity)
     k = int(np.argmax(dexterity))
     frames = reach.positions.frames()

@@ -1,4 +1,4 @@
-"""A box grid's map in slices, colored by dexterity, with the arm in them."""
+"""The map of a box grid in slices, colored by dexterity, with the arm."""
 
 from collections.abc import Sequence
 
@@ -7,38 +7,38 @@ import numpy as np
 from ikjax.core.text import picture
 from ikjax.maps.sets.positions import Grid, Shell
 from ikjax.plot.disc import shell_map
-from ikjax.plot.planes import Plane, Slice, kept, plane_of, posture, ticks_of, usual
+from ikjax.plot.planes import Plane, Slice, default_slices, plane_of, posture, shown_axes, ticks_of
 from ikjax.plot.points import point_map
 from ikjax.plot.stick import draw_flat, sticks
-from ikjax.plot.style import INK, MAP, PALE, STYLE, finish, flat, pyplot
+from ikjax.plot.style import INK, MAP, PALE, STYLE, finish, one_color, pyplot
 
 
 def reach_map(reach, path=None, q=None, slices: Sequence[Slice] | None = None):
     """A workspace colored by dexterity: a box grid in slices with the arm in the largest, a shell as discs
     of equal area, a surface or a list as points beside the arm.
 
-    White cannot be reached; grey can, but not within the joint limits.
+    White positions cannot be reached; grey ones can, but only beyond the joint limits.
 
     Args:
         reach: A `ReachMap`, from `ikjax.sweep`.
         path: Where to save the picture.
         q: (n,) posture to draw; by default the arm reaches for its most dexterous place.
-        slices: Planes, the largest picture first; by default one upright plane through the base each
-            way, and three level ones. Each shows the layer of the grid that is nearest.
+        slices: Planes, the largest picture first; by default the two vertical planes through the base and
+            three horizontal ones. Each shows the nearest layer of the grid.
 
     Returns:
         The figure.
 
     Raises:
         ImportError: Without matplotlib.
-        ValueError: A slice that is not ("x", "y" or "z", metres), or one of what is no box grid.
+        ValueError: A slice that is not ("x", "y" or "z", metres), or slices of a map that is no box grid.
     """
     plt = pyplot()
     if not isinstance(reach.positions, Grid):
         if slices is not None:
             raise ValueError(f"slices are of a box grid, got {reach.positions.in_words()}")
         return shell_map(reach, path) if isinstance(reach.positions, Shell) else point_map(reach, path, q)
-    planes = [plane_of(reach, piece) for piece in (usual(reach) if slices is None else slices)]
+    planes = [plane_of(reach, piece) for piece in (default_slices(reach) if slices is None else slices)]
     body = sticks(reach.arm, posture(reach, planes[0]) if q is None else q)
     span = span_of(reach, body.line)
     top = max(0.1, np.ceil(10 * float(np.max(reach.dexterity, initial=0))) / 10)
@@ -47,8 +47,8 @@ def reach_map(reach, path=None, q=None, slices: Sequence[Slice] | None = None):
         axes = panels(figure, len(planes))
         images = [draw_plane(ax, reach, plane, span, top) for ax, plane in zip(axes, planes, strict=True)]
         for ax, plane in zip(axes, planes, strict=True):
-            draw_flat(ax, body, kept(plane.axis), bold=ax is axes[0])
-        _mark(axes[0], planes)
+            draw_flat(ax, body, shown_axes(plane.axis), bold=ax is axes[0])
+        _draw_cuts(axes[0], planes)
         bar = figure.colorbar(images[0], ax=axes, shrink=0.9, aspect=34, pad=0.012, format="{x:.0%}")
         bar.set_label("share of orientations reachable", fontsize=10)
         bar.outline.set_visible(False)
@@ -57,7 +57,7 @@ def reach_map(reach, path=None, q=None, slices: Sequence[Slice] | None = None):
 
 
 def span_of(reach, line: np.ndarray) -> np.ndarray:
-    """(3, 2) what the panels show [m]: all that can be reached, and some points."""
+    """(3, 2) extent of the panels [m]: all that can be reached, and the points of a line."""
     cells = np.argwhere(np.asarray(reach.reachable) > 0)
     corners = np.asarray(reach.positions.origin, float) + reach.positions.spacing * np.array(
         [cells.min(0), cells.max(0)] if len(cells) else [np.zeros(3), np.subtract(reach.positions.shape, 1)]
@@ -67,7 +67,7 @@ def span_of(reach, line: np.ndarray) -> np.ndarray:
 
 
 def panels(figure, count: int) -> list:
-    """One large axis on the left, the others two abreast on the right."""
+    """One large axis on the left, the others in two columns on the right."""
     rows = max(1, count // 2)
     columns = 2 if count > 2 else max(0, count - 1)
     figure.get_layout_engine().set(rect=(0.005, 0.005, 0.99, 0.885), w_pad=0.08, h_pad=0.1)
@@ -80,8 +80,8 @@ def panels(figure, count: int) -> list:
 
 
 def draw_plane(ax, reach, plane: Plane, span: np.ndarray, top: float):
-    """One layer's dexterity; the image, for the color bar."""
-    across, up = kept(plane.axis)
+    """Draw one layer's dexterity; returns the image, for the color bar."""
+    across, up = shown_axes(plane.axis)
     ticks, half = ticks_of(reach), reach.positions.spacing / 2
     frame = [ticks[across][0] - half, ticks[across][-1] + half, ticks[up][0] - half, ticks[up][-1] + half]
 
@@ -91,7 +91,7 @@ def draw_plane(ax, reach, plane: Plane, span: np.ndarray, top: float):
     within, anyhow = layer(reach.reachable_within) > 0, layer(reach.reachable) > 0
     settings = {"origin": "lower", "extent": frame, "interpolation": "nearest"}
     grey = np.ma.masked_where(within | ~anyhow, np.ones(within.shape))
-    ax.imshow(grey, cmap=flat(PALE), **settings)
+    ax.imshow(grey, cmap=one_color(PALE), **settings)
     shown = np.ma.masked_where(~within, layer(reach.dexterity))
     image = ax.imshow(shown, cmap=MAP, vmin=0, vmax=top, **settings)
     ax.set(xlim=span[across], ylim=span[up], aspect="equal")
@@ -102,9 +102,9 @@ def draw_plane(ax, reach, plane: Plane, span: np.ndarray, top: float):
     return image
 
 
-def _mark(ax, planes: list[Plane]) -> None:
-    """Thin lines in the first panel where the others cut it."""
-    across, up = kept(planes[0].axis)
+def _draw_cuts(ax, planes: list[Plane]) -> None:
+    """Thin lines in the first panel where the other planes cut it."""
+    across, up = shown_axes(planes[0].axis)
     for plane in planes[1:]:
         draw = {across: ax.axvline, up: ax.axhline}.get(plane.axis)
         if draw:
@@ -112,10 +112,10 @@ def _mark(ax, planes: list[Plane]) -> None:
 
 
 def _head(figure, reach) -> None:
-    """The arm's name, what the map says in numbers, and what grey means."""
+    """The arm's name, the main numbers of the map, and the meaning of grey."""
     volume = float((np.asarray(reach.reachable_within) > 0).sum() * reach.positions.spacing**3)
     best = float(np.max(reach.dexterity, initial=0))
-    said = (
+    caption = (
         f"{volume:.3g} m³ within reach and joint limits; at best {best:.0%} of orientations.   "
         f"{reach.goals:,} goals: {reach.positions.count:,} positions "
         f"{reach.positions.spacing * 1000:.3g} mm apart "
@@ -123,7 +123,7 @@ def _head(figure, reach) -> None:
     )
     left = {"x": 0.012, "ha": "left", "va": "top"}
     figure.suptitle(picture(reach.arm.name), y=0.985, fontsize=16, fontweight="bold", **left)
-    figure.text(y=0.925, s=said, fontsize=10, color="#444444", **left)
+    figure.text(y=0.925, s=caption, fontsize=10, color="#444444", **left)
     if (np.asarray(reach.reachable) > reach.reachable_within).any():
         from matplotlib.patches import Patch
 

@@ -1,6 +1,7 @@
-"""A box grid's map as solids, one for each dexterity, cut open so that the inner ones and the arm are seen.
+"""The map of a box grid as solids, one for each level of dexterity, cut open to show the inside and the arm.
 
-The surfaces are cut out of tetrahedra, six a cell, which leaves no case ambiguous.
+The isosurfaces are found by marching tetrahedra, six in a cell, where no case is ambiguous.
+
 Source: Doi and Koide, An efficient method of triangulating equi-valued surfaces by using tetrahedral
 cells, IEICE Trans. E74 (1991).
 """
@@ -17,17 +18,17 @@ from ikjax.plot.stick import box, draw_3d, sticks
 from ikjax.plot.style import INK, MAP, STYLE, finish, pyplot
 
 MOST_CELLS = 44
-"""Along an axis of a picture; a finer map is thinned."""
+"""Most cells along an axis of a picture; of a finer map every n-th layer is drawn."""
 
 LIGHT = np.array([0.35, -0.6, 0.75]) / np.linalg.norm([0.35, -0.6, 0.75])
 
 
 def isosurface(field: np.ndarray, level: float) -> np.ndarray:
-    """Where a field on a grid passes a level, as triangles (t, 3, 3) in cells, turned outwards.
+    """The isosurface of a field on a grid, as triangles (t, 3, 3) [cells] whose normals point outwards.
 
     Args:
         field: (nx, ny, nz).
-        level: What is at least this is inside.
+        level: Values of at least this are inside.
     """
     cells = np.stack(np.meshgrid(*[np.arange(n - 1) for n in field.shape], indexing="ij"), -1).reshape(-1, 3)
     # Six paths along the edges from a cell's first corner to its last: a tetrahedron each.
@@ -55,7 +56,7 @@ def isosurface(field: np.ndarray, level: float) -> np.ndarray:
 
 
 _ORDERS = list(itertools.permutations(range(3)))
-# By the number of corners inside, highest first: the edges that a triangle's corners lie on.
+# By the number of corners inside, which are sorted first: the edges on which a triangle's corners lie.
 _FACES = {
     1: [((0, 1), (0, 2), (0, 3))],
     2: [((0, 2), (0, 3), (1, 3)), ((0, 2), (1, 3), (1, 2))],
@@ -68,15 +69,15 @@ def _normals(triangles: np.ndarray) -> np.ndarray:
 
 
 def nested(reach, path=None, levels=(0.0, 0.25, 0.5, 0.75), q=None):
-    """Where at least so many orientations can be reached: a solid for each level, a quarter cut out.
+    """Where at least a share of the orientations is reached: a solid for each level, with a quarter cut out.
 
-    The cut shows the dexterity inside, to one scale, and the arm.
+    The cut shows the dexterity inside, on one color scale, and the arm.
 
     Args:
         reach: A `ReachMap` of a box grid.
         path: Where to save the picture.
-        levels: Shares of orientations, 0 to 1; 0 is all that is reached. Levels that no position has are
-            left out.
+        levels: Shares of orientations, 0 to 1; 0 is all that is reached. Levels without a position are left
+            out.
         q: (n,) posture to draw; by default the arm reaches for its most dexterous place.
 
     Returns:
@@ -93,12 +94,12 @@ def nested(reach, path=None, levels=(0.0, 0.25, 0.5, 0.75), q=None):
     body = sticks(reach.arm, posture(reach, plane_of(reach, ("y", base[1]))) if q is None else q)
     dexterity = np.asarray(reach.dexterity, float)
     best = float(dexterity.max())
-    # What has no position, or just those of the level before, is no further solid.
+    # A level without positions, or with the same ones as an earlier level, makes no further solid.
     sizes = [int((dexterity >= max(level, 1e-9)).sum()) for level in levels]
     chosen = [level for k, level in enumerate(levels) if sizes[k] and sizes[k] not in sizes[:k]]
     step = max(1, -(-max(reach.positions.shape) // MOST_CELLS))
-    field, ticks = _thinned(dexterity, ticks_of(reach), step)
-    # Where the dexterity ends at once, the surface is half way between the last position and the next.
+    field, ticks = _every_nth_layer(dexterity, ticks_of(reach), step)
+    # Where the dexterity drops to zero, the surface is half way between the last position and the next.
     least = 0.5 * float(dexterity[dexterity > 0].min(initial=1))
     with plt.rc_context(STYLE):
         columns = max(len(chosen), 1)
@@ -121,16 +122,16 @@ def nested(reach, path=None, levels=(0.0, 0.25, 0.5, 0.75), q=None):
         image = plt.cm.ScalarMappable(plt.Normalize(0, best or 1), MAP)
         label(figure, image, "share of orientations reachable")
         thin = f", drawn every {step * reach.positions.spacing * 1000:.3g} mm" if step > 1 else ""
-        said = (
+        caption = (
             f"Where the tool reaches so many of {reach.orientation_count:,} orientations within the joint "
             f"limits, a quarter cut out.   {reach.positions.in_words()}{thin}."
         )
-        head(figure, reach.arm.name, said)
+        head(figure, reach.arm.name, caption)
     return finish(figure, path)
 
 
-def _thinned(values: np.ndarray, ticks, step: int) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Every step-th layer, with an empty one all around so that solids are closed."""
+def _every_nth_layer(values: np.ndarray, ticks, step: int) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Every step-th layer, with an empty layer all around so that the solids are closed."""
     fewer = [tick[(len(tick) - 1) % step // 2 :: step] for tick in ticks]
     starts = [(len(tick) - 1) % step // 2 for tick in ticks]
     field = np.pad(values[tuple(slice(start, None, step) for start in starts)], 1)
@@ -139,7 +140,7 @@ def _thinned(values: np.ndarray, ticks, step: int) -> tuple[np.ndarray, list[np.
 
 
 def _solid(ax, field: np.ndarray, ticks, level: float, base: np.ndarray, best: float) -> None:
-    """What is inside a level, without the quarter in front of the base, which looks to +x and -y."""
+    """Draw what is inside a level, without the quarter in front of the base, towards +x and -y."""
     from matplotlib.colors import to_rgb
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
@@ -159,12 +160,12 @@ def _solid(ax, field: np.ndarray, ticks, level: float, base: np.ndarray, best: f
         colors += [*pyplot().get_cmap(MAP)(values / best)[:, :3]]
     low, gap = np.array([t[0] for t in ticks]), np.array([t[1] - t[0] for t in ticks])
     world = [low + gap * face for face in faces]
-    # Edges in the color of their face close the seams between neighbors.
+    # Edges in the color of their face hide the seams between neighbors.
     ax.add_collection3d(Poly3DCollection(world, facecolors=colors, edgecolors=colors, linewidths=0.25))
 
 
 def _section(field: np.ndarray, cut: list[int], axis: int, level: float, fine: int = 2):
-    """The cut square to x (0) or y (1) in small squares [cells], and their values."""
+    """The cut normal to x (0) or y (1) in small squares [cells], and their values."""
     layer = field.take(cut[axis], axis)
     layer = layer[: cut[1] + 1] if axis == 0 else layer[cut[0] :]
     first = 0 if axis == 0 else cut[0]

@@ -1,4 +1,4 @@
-"""An arm as a stick figure, and every branch of a goal in figures of its own."""
+"""An arm as a stick figure, and every branch of a goal as one."""
 
 from typing import NamedTuple
 
@@ -16,7 +16,7 @@ class Sticks(NamedTuple):
     """An arm as lines and points in the world [m]."""
 
     line: np.ndarray
-    """(m, 3) base to tool, along each link's offset and then its length."""
+    """(m, 3) from base to tool, along each link's offset d and then its length a."""
     joints: np.ndarray
     """(n, 3) a point on each joint's axis."""
     tool: np.ndarray
@@ -24,14 +24,14 @@ class Sticks(NamedTuple):
 
 
 def sticks(arm: Arm, q) -> Sticks:
-    """What is drawn of an arm at q, (n,)."""
+    """The lines and points of an arm at q, (n,)."""
     return sticks_of(arm, np.asarray(frames(arm, q), float), np.asarray(fk(arm, q), float))
 
 
 def sticks_of(arm: Arm, stations: np.ndarray, tip: np.ndarray) -> Sticks:
     """The same from the poses of the links, (n + 1, 4, 4), and of the tool, (4, 4)."""
     origins, ahead = stations[:, :3, 3], stations[:, :3, 0]
-    # In standard DH a link goes along its joint's axis first and along its own x axis last.
+    # In standard DH a link runs along its joint's axis first, and then along its own x axis.
     corners = origins[1:] - np.asarray(arm.a, float)[:, None] * ahead[1:]
     tool = tip[:3, 3]
     line = [origins[0], *np.stack([corners, origins[1:]], axis=1).reshape(-1, 3), tool]
@@ -39,12 +39,12 @@ def sticks_of(arm: Arm, stations: np.ndarray, tip: np.ndarray) -> Sticks:
 
 
 def arm(arm: Arm, q, ax=None, *, color: str = COLORS[0], width: float = 3.0):
-    """A stick figure on a 3-D axis, with its shadow where the axis has a floor.
+    """A stick figure on a 3-D axis, with its shadow on the floor of the axis.
 
     Args:
         arm: The arm.
         q: Joint values [rad, m], (n,).
-        ax: A 3-D axis; a new figure's by default. Set its limits first: the shadow falls on them.
+        ax: A 3-D axis, by default of a new figure. Set its limits first: its lower z limit is the floor.
         color, width: Of the links.
 
     Returns:
@@ -86,12 +86,12 @@ def box(ax, points: np.ndarray, zoom: float = 0.94) -> None:
     ax.locator_params(nbins=5)
 
 
-def draw_flat(ax, body: Sticks, kept: tuple[int, int], bold: bool) -> None:
+def draw_flat(ax, body: Sticks, axes: tuple[int, int], bold: bool) -> None:
     from matplotlib import patheffects
 
     width = 3.0 if bold else 1.3
     halo = [patheffects.withStroke(linewidth=width * 2, foreground="white")]
-    line, joints, tool = (points[..., list(kept)].T for points in body)
+    line, joints, tool = (points[..., list(axes)].T for points in body)
     rounded = {"solid_capstyle": "round", "solid_joinstyle": "round"}
     ax.plot(*line, color=INK, lw=width, path_effects=halo, zorder=3, **rounded)
     ax.plot(*line[:, 0], "s", color=INK, mec="white", ms=3.6 * width, zorder=4)
@@ -101,7 +101,7 @@ def draw_flat(ax, body: Sticks, kept: tuple[int, int], bold: bool) -> None:
 
 
 def branches(arm: Arm, goal, path=None):
-    """Every branch of one goal, a small stick figure each; those that do not reach it are grey.
+    """Every branch of one goal, each as a small stick figure; branches that do not reach it are grey.
 
     Args:
         arm: An arm with a family.

@@ -1,18 +1,18 @@
-"""What all pictures share: colors, type sizes, and how a figure ends."""
+"""What all pictures share: colors, font sizes, and how a figure is finished."""
 
 from typing import Any
 
 DPI = 200
-# Lightness rises all along, so it prints in grey and needs no hue to be read.
+# Its lightness increases monotonically, so it can be read in grey print and without hue.
 MAP = "viridis"
-# Orange and purple are told apart by all kinds of color blindness; what is printed grey has hatching too.
+# Orange and purple can be distinguished with any color blindness; hatching is added for grey print.
 DIVERGING = "PuOr"
 INK, PALE, ACCENT = "#1b1b1b", "#e3e3e3", "#d1495b"
 TRIAD = ("#d1495b", "#2a9d5c", "#2f6fde")
-# Okabe and Ito's colors, told apart by color-blind readers; their yellow is too pale for lines.
+# Colors of Okabe and Ito, which color-blind readers can distinguish; without yellow, too pale for lines.
 COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7a4fb5", "#6b6b00")
 STYLE = {"font.size": 9, "axes.titlesize": 9, "axes.edgecolor": "#888888", "axes.linewidth": 0.6}
-# Names are escaped for matplotlib's own text; TeX would run them as a program.
+# Names are escaped for matplotlib's own text; TeX could execute commands in them.
 STYLE |= {"text.usetex": False}
 STYLE |= {"xtick.color": "#555555", "ytick.color": "#555555", "xtick.labelsize": 8, "ytick.labelsize": 8}
 STYLE |= {"grid.color": "#dddddd", "grid.linewidth": 0.6}
@@ -36,14 +36,15 @@ def finish(figure, path):
 
 
 def file_types() -> tuple[str, ...]:
-    """Endings that `path` may have, without the dot."""
+    """File extensions that `path` may have, without the dot."""
     plt = pyplot()
     canvas = plt.figure().canvas
     plt.close(canvas.figure)
     return tuple(sorted(canvas.get_supported_filetypes()))
 
 
-def flat(color: str):
+def one_color(color: str):
+    """A color map of one color."""
     from matplotlib.colors import ListedColormap
 
     return ListedColormap([color])

@@ -1,7 +1,7 @@
-"""A map in the browser: a slice that moves through it, and every branch of a goal that is dragged.
+"""A map in the browser: a movable slice, and every branch of a goal that can be dragged.
 
-Needs viser (`pip install ikjax[viz3d]`). The server listens on 127.0.0.1 alone: nobody else on
-the network can see or steer it; from another machine, use `ssh -L 8080:127.0.0.1:8080`.
+Needs viser (`pip install ikjax[viz3d]`). The server listens on 127.0.0.1 only, so that nobody else on the
+network can see or control it; from another machine, use `ssh -L 8080:127.0.0.1:8080`.
 """
 
 import dataclasses
@@ -19,7 +19,7 @@ from ikjax.core.text import markdown
 from ikjax.ik.select import within_limits
 from ikjax.ik.solve import solve
 from ikjax.maps.sets.positions import Grid
-from ikjax.plot.planes import Plane, kept, plane_of, posture, ticks_of
+from ikjax.plot.planes import Plane, plane_of, posture, shown_axes, ticks_of
 from ikjax.plot.stick import sticks_of
 from ikjax.plot.style import COLORS, MAP
 
@@ -56,7 +56,7 @@ def skeletons(arm: Arm, goal) -> list[Skeleton]:
 
 
 def slice_image(reach, plane: Plane) -> np.ndarray:
-    """A layer as colors (rows, columns, 4) uint8, its first row on top; clear where nothing is reached."""
+    """A layer as colors (rows, columns, 4) uint8, first row on top, transparent where nothing is reached."""
     from matplotlib import colormaps
 
     share = np.asarray(reach.dexterity).take(plane.layer, plane.axis).T[::-1]
@@ -72,9 +72,9 @@ def quaternion(rotation: np.ndarray) -> np.ndarray:
     return np.asarray([float(c) for c in to_quaternion(tuple(map(tuple, rotation)))])
 
 
-def stand(axis: int) -> np.ndarray:
-    """How an image of a layer stands, (3, 3): viser's runs along its x and down its y."""
-    across, up = kept(axis)
+def image_rotation(axis: int) -> np.ndarray:
+    """Rotation (3, 3) of a layer's image: in viser, rows run along x and columns down y."""
+    across, up = shown_axes(axis)
     right, down = np.eye(3)[across], -np.eye(3)[up]
     return np.stack([right, down, np.cross(right, down)], axis=1)
 
@@ -84,7 +84,7 @@ class Viewer:
 
     Args:
         reach: A `ReachMap`.
-        port: Where the browser finds it; another where that one is taken.
+        port: For the browser; another one is used if it is taken.
         server: A viser server to draw on; a new one on 127.0.0.1 by default.
 
     Raises:
@@ -97,7 +97,7 @@ class Viewer:
             raise ValueError(f"the viewer shows box grids, got {reach.positions.in_words()}")
         if reach.arm.family is None:
             raise ValueError(f"the viewer needs an arm with a closed form, {reach.arm.name} has none")
-        # Read once: a slice is drawn at every move of the slider.
+        # Read once, because a slice is drawn at every move of the slider.
         self.reach = dataclasses.replace(reach, arrays=reach.to_numpy())
         self.arm = reach.arm
         self._lock = threading.Lock()
@@ -119,7 +119,7 @@ class Viewer:
         self.axis = gui.add_dropdown("Slice square to", ("x", "y", "z"), initial_value="y")
         self.layer = gui.add_slider("Where along it", 0.0, 1.0, 0.001, 0.5)
         self.limited = gui.add_checkbox("Within joint limits only", False)
-        self.said = gui.add_markdown("")
+        self.summary = gui.add_markdown("")
         start = np.asarray(posture(reach, plane_of(reach, ("y", base[1]))), float)
         self.goal = self._gizmo(start)
         for handle in (self.axis, self.layer):
@@ -136,12 +136,12 @@ class Viewer:
         )
 
     def draw_slice(self) -> None:
-        """Put the slice where the slider says."""
+        """Draw the slice at the position of the slider."""
         axis = "xyz".index(self.axis.value)
         ticks, half = ticks_of(self.reach), self.reach.positions.spacing / 2
         at = ticks[axis][0] + float(self.layer.value) * (ticks[axis][-1] - ticks[axis][0])
         plane = plane_of(self.reach, (self.axis.value, at))
-        across, up = kept(axis)
+        across, up = shown_axes(axis)
         center = np.array([(tick[0] + tick[-1]) / 2 for tick in ticks])
         center[axis] = plane.at
         self.plane = plane
@@ -152,7 +152,7 @@ class Viewer:
                 np.ascontiguousarray(slice_image(self.reach, plane)),
                 width,
                 height,
-                wxyz=quaternion(stand(axis)),
+                wxyz=quaternion(image_rotation(axis)),
                 position=center,
                 cast_shadow=False,
                 receive_shadow=False,
@@ -161,15 +161,15 @@ class Viewer:
             image.on_click(self.put_goal)
 
     def put_goal(self, click: Any) -> None:
-        """Move the goal to where a click's ray meets the slice; its orientation stays."""
-        start, way = np.asarray(click.ray_origin, float), np.asarray(click.ray_direction, float)
+        """Move the goal to where a click's ray meets the slice; its orientation is unchanged."""
+        start, ray = np.asarray(click.ray_origin, float), np.asarray(click.ray_direction, float)
         axis = self.plane.axis
-        if way[axis] != 0:
-            self.goal.position = start + way * ((self.plane.at - start[axis]) / way[axis])
+        if ray[axis] != 0:
+            self.goal.position = start + ray * ((self.plane.at - start[axis]) / ray[axis])
             self.draw_branches()
 
     def draw_branches(self) -> None:
-        """Solve the goal under the gizmo and put every branch that reaches it into the scene."""
+        """Solve the goal at the gizmo and draw every branch that reaches it."""
         goal = pose(self.goal.position, wxyz=self.goal.wxyz, dtype=self.arm.dtype)
         with self._lock:
             found = {skeleton.slot: skeleton for skeleton in skeletons(self.arm, goal)}
@@ -180,7 +180,7 @@ class Viewer:
                     self.server.scene.remove_by_name(name)
                     continue
                 color = _rgb(COLORS[slot % len(COLORS)]) if skeleton.within else OUTSIDE
-                # Branches that differ in the wrist alone lie in one place: those within the limits show.
+                # Branches that differ only in the wrist coincide: those within the limits are drawn thicker.
                 thick = (0.006 if skeleton.within else 0.003) * self.size
                 lines = skeleton.lines.astype(np.float32)
                 self.server.scene.add_line_segments(name, lines, color, thickness=thick)
@@ -189,13 +189,13 @@ class Viewer:
                 for k, each in found.items()
             )
             total = len(self.arm.branches)
-            self.said.content = f"**{len(found)} of {total} branches, {within} within limits**\n\n{names}"
+            self.summary.content = f"**{len(found)} of {total} branches, {within} within limits**\n\n{names}"
 
     def run(self) -> None:
         """Serve until Ctrl-C."""
         where = f"http://{HOST}:{self.server.get_port()}"
         try:
-            # Whoever waits for the line behind a pipe shall not wait for the end.
+            # Flushed, because a reader behind a pipe waits for this line.
             print(f"the map is at {where}, for this machine only; Ctrl-C ends it", flush=True)
             while True:
                 time.sleep(3600)

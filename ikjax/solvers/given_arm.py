@@ -1,8 +1,9 @@
-"""Newton steps from a closed form to the arm as it is given.
+"""From the closed form, which solves the arm as recognized, to the arm as given: damped least squares.
 
-All slots take their steps together, along a leading axis, so that a program holds
-them once.
-Source: damped least squares; Wampler (1986), Nakamura and Hanafusa (1986).
+Each step solves (J^T J + damping) x = J^T r, as Levenberg and Marquardt do with a small constant damping.
+All slots are one array with a leading axis, so that a program contains the step once.
+
+Source: damped least squares in robotics: Wampler (1986), Nakamura and Hanafusa (1986).
 """
 
 import functools
@@ -14,7 +15,7 @@ import jax.numpy as jnp
 from ikjax.arm.forward import Link, advance
 from ikjax.core import pose as poses
 from ikjax.core import safe, vector
-from ikjax.core.linear import solve_symmetric
+from ikjax.core.linear import dot, solve_symmetric
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Angle, Scalar
 from ikjax.core.vector import Vector
@@ -22,10 +23,10 @@ from ikjax.core.xla import divider_once, pin, pinning
 from ikjax.solvers.context import Branch, Joints, Setting, Slide, moved_on, placed
 
 STEPS = 8
-"""At most so many beside a fold, where a step only halves the error."""
+"""Steps in each of the two stages beside a fold. At a double root a Newton step only halves the error."""
 
-CHUNK = 256
-"""Goals beside folds that are worked on together."""
+BATCH = 256
+"""Batch size of the goals beside folds, which are gathered and solved again."""
 
 LARGEST_STEP = 0.3
 """The largest move of a joint in one step [rad, or reaches]."""
@@ -36,9 +37,9 @@ class Given(NamedTuple):
 
     links: tuple[Link, ...]
     between: tuple[Pose, ...] | None
-    """What each link but the last is off by, at its end."""
-    tool: Vector
-    """The tool point seen from the last frame."""
+    """The correction at the end of each link but the last."""
+    tool_point: Vector
+    """Seen from the last frame."""
 
 
 def polished(
@@ -51,9 +52,10 @@ def polished(
 ) -> tuple[tuple[Branch, ...], list[Scalar], list[Scalar]]:
     """The slots after their steps, and how far each is from the goal.
 
-    All slots take the few steps that are enough away from folds, where each squares the error. Goals with a
-    slot beside a fold, or that is not there yet, are then gathered, start again and take more steps, with
-    care that two slots do not take one answer: a few goals in a hundred, which pay for themselves alone.
+    All slots take the few steps that are enough away from folds, where Newton's method converges
+    quadratically. Goals with a slot beside a fold, or with one that has not converged, are then gathered.
+    They start again and take more steps, and it is checked that no two slots converge to one answer. These
+    are a few goals in a hundred, and the others do not pay for them.
 
     Args:
         given: The arm.
@@ -62,7 +64,7 @@ def polished(
             point on a frame of zeros.
         turning: Whether the task asks for an orientation.
         allowed: Distance and angle of a valid pose, in units of the reach and rad.
-        setting: What counts as zero.
+        setting: Tolerances.
 
     Returns:
         The slots, and for each the squared distance of the tool points and the squared Frobenius norm of
@@ -75,36 +77,41 @@ def polished(
     start = jax.tree.map(divider_once(jax.tree.leaves(start)[0]), start)
     goals = jax.tree.map(lambda x: jnp.broadcast_to(x, shape[1:]).reshape(1, -1), goal)
     solve = _Solve(given, turning, setting)
-    size = 32 * setting.off
-    steps = _steps_at_once(setting.off, allowed[1])
+    # The whole sum of the corrections: `correction_size` is 1 / 32 of it.
+    size = 32 * setting.correction_size
+    steps = _step_count(setting.correction_size, allowed[1])
     joints = jax.lax.fori_loop(0, steps, lambda _, joints: solve.step(joints, goals), start)
-    found = _Found(joints, *solve.errors(joints, goals))
+    answer = _Answer(joints, *solve.errors(joints, goals))
     gap, angle = (jnp.broadcast_to(jnp.asarray(x), shape[1:]).reshape(1, -1) for x in allowed)
-    there = (found.gap_squared <= gap * gap) & (found.turn_squared <= 2 * angle * angle)
-    late = (abs(margins) <= 2 * size) | (~there & (margins > -8 * size))
-    found = _again(solve, late.any(0), start, goals, found)
+    # The Frobenius norm of R - S is sqrt(2) times a small angle.
+    converged = (answer.gap_squared <= gap * gap) & (answer.turn_squared <= 2 * angle * angle)
+    unfinished = (abs(margins) <= 2 * size) | (~converged & (margins > -8 * size))
+    answer = _solved_again(solve, unfinished.any(0), start, goals, answer)
     answers = []
     for k, slot in enumerate(slots):
         mine = tuple(
             Slide(pin(joint.value[k].reshape(shape[1:])))
             if isinstance(joint, Slide)
             else setting.angle(joint.sin[k].reshape(shape[1:]), joint.cos[k].reshape(shape[1:]))
-            for joint in found.joints
+            for joint in answer.joints
         )
         answers.append(slot._replace(joints=mine))
-    squares = [[x[k].reshape(shape[1:]) for k in range(len(slots))] for x in found[1:]]
+    squares = [[x[k].reshape(shape[1:]) for k in range(len(slots))] for x in answer[1:]]
     return tuple(answers), squares[0], squares[1]
 
 
-def _steps_at_once(off: Scalar, tolerance: float) -> int:
-    """Each squares the error: two take 3e-3 below 1e-9, with what the arm's own lengths add."""
-    if not isinstance(off, float):
+def _step_count(correction_size: Scalar, tolerance: float) -> int:
+    """How many steps are enough away from folds.
+
+    Each squares the error: two take 3e-3 below 1e-9, with what the arm's own lengths add.
+    """
+    if not isinstance(correction_size, float):
         return 3
-    off *= 32
-    return 1 if off <= tolerance else 2 if off < 3e-3 else 3
+    correction_size *= 32
+    return 1 if correction_size <= tolerance else 2 if correction_size < 3e-3 else 3
 
 
-class _Found(NamedTuple):
+class _Answer(NamedTuple):
     """Joints of all slots (S, N), and how far they are from the goal."""
 
     joints: Joints
@@ -112,60 +119,64 @@ class _Found(NamedTuple):
     turn_squared: jax.Array
 
 
-def _again(solve: "_Solve", late: jax.Array, start: Joints, goals: Pose, found: _Found) -> _Found:
-    """The goals that are late (N,) once more, with care: a chunk after the other until none is left."""
-    count = late.shape[0]
-    size = min(CHUNK, count)
-    # Late ones first; what is beyond them in the last chunk is written nowhere.
-    places = jnp.nonzero(late, size=count + size, fill_value=count)[0].astype(jnp.int32)
+def _solved_again(
+    solve: "_Solve", unfinished: jax.Array, start: Joints, goals: Pose, answer: _Answer
+) -> _Answer:
+    """The answer, with the unfinished goals (N,) solved once more in batches of `BATCH`."""
+    count = unfinished.shape[0]
+    size = min(BATCH, count)
+    # Unfinished goals first. The last batch is filled with an index out of range, which is never written.
+    places = jnp.nonzero(unfinished, size=count + size, fill_value=count)[0].astype(jnp.int32)
 
-    def chunk(state):
-        first, found = state
+    def batch(state):
+        first, answer = state
         where = jax.lax.dynamic_slice_in_dim(places, first, size)
         here = jax.tree.map(lambda x: x[:, jnp.minimum(where, count - 1)], (start, goals))
-        better = solve.with_care(*here)
-        found = jax.tree.map(lambda x, y: x.at[:, where].set(y, mode="drop"), found, better)
-        return first + size, found
+        better = solve.beside_fold(*here)
+        answer = jax.tree.map(lambda x, y: x.at[:, where].set(y, mode="drop"), answer, better)
+        return first + size, answer
 
-    left = late.sum().astype(jnp.int32)
-    return jax.lax.while_loop(lambda state: state[0] < left, chunk, (jnp.int32(0), found))[1]
+    left = unfinished.sum().astype(jnp.int32)
+    return jax.lax.while_loop(lambda state: state[0] < left, batch, (jnp.int32(0), answer))[1]
 
 
 class _Solve(NamedTuple):
-    """An arm as given, and what is asked of it."""
+    """An arm as given, and what its task controls."""
 
     given: Given
     turning: bool
     setting: Setting
 
     def step(self, joints: Joints, goals: Pose) -> Joints:
+        """One damped step of all slots."""
         with pinning(divider_once(jax.tree.leaves(joints)[0])):
             return _step(self.given, joints, goals, self.turning, self.setting)
 
     def errors(self, joints: Joints, goals: Pose) -> tuple[jax.Array, jax.Array]:
         """Squared distance of the tool points, and squared Frobenius norm of the difference of rotations."""
         with pinning(divider_once(jax.tree.leaves(joints)[0])):
-            reached, _ = _walk(self.given, joints)
-            slip = tuple(map(vector.subtract, reached.rotation, goals.rotation))
-            gap = _gap(self.given, reached, goals, slip)
-            return pin(vector.dot(gap, gap)), pin(sum(vector.dot(row, row) for row in slip))
+            reached, _ = _forward(self.given, joints)
+            change = tuple(map(vector.subtract, reached.rotation, goals.rotation))
+            gap = _gap(self.given, reached, goals, change)
+            return pin(vector.dot(gap, gap)), pin(sum(vector.dot(row, row) for row in change))
 
-    def with_care(self, start: Joints, goals: Pose) -> _Found:
-        """Two stages of many steps; beside a fold the answers lie on both sides of it."""
+    def beside_fold(self, start: Joints, goals: Pose) -> _Answer:
+        """Two stages of `STEPS` steps. Beside a fold two answers lie on either side of the start."""
 
         def stage(_, joints: Joints) -> Joints:
-            # Who came to another's answer tries the other side.
+            # A slot that converged to another slot's answer starts anew from the other side of the fold.
             twin, _ = _claimed(start, joints)
             joints = _where(twin, tuple(map(_mirrored, start, joints)), joints)
             return jax.lax.fori_loop(0, STEPS, lambda _, joints: self.step(joints, goals), joints)
 
         joints = jax.lax.fori_loop(0, 2, stage, start)
-        # Slots that meet at a fold keep their answer both. From farther off it is another's: near a fold an
-        # error counts by its square root.
+        # Two slots that meet at the fold may have the same answer. A slot that moved farther than that has
+        # another slot's answer, and goes back to its start. At a fold the joints move by the square root of
+        # the error of the pose, here of the corrections.
         claimed, moved = _claimed(start, joints)
-        short = self.setting.rounding**0.25 + 4 * safe.sqrt(32 * self.setting.off)
+        short = self.setting.rounding**0.25 + 4 * safe.sqrt(32 * self.setting.correction_size)
         joints = _where(claimed & (moved > short), start, joints)
-        return _Found(joints, *self.errors(joints, goals))
+        return _Answer(joints, *self.errors(joints, goals))
 
 
 def _stack(values) -> jax.Array:
@@ -180,7 +191,7 @@ def _stacked(column: tuple[Angle | Slide, ...]) -> Angle | Slide:
 
 
 def _claimed(start: Joints, joints: Joints) -> tuple[jax.Array, jax.Array]:
-    """Which slots came to an answer that another had less far to, and how far each slot moved."""
+    """Which slots have an answer that another slot reached by a shorter way, and how far each slot moved."""
     moved = _apart(start, joints)
     close = 32 * float(jnp.finfo(moved.dtype).eps) ** 0.5
     places = jnp.arange(moved.shape[0]).reshape(-1, *[1] * (moved.ndim - 1))
@@ -198,7 +209,7 @@ def _where(condition: jax.Array, yes: Joints, no: Joints) -> Joints:
 
 
 def _mirrored(start: Angle | Slide, joint: Angle | Slide) -> Angle | Slide:
-    """As far on the other side of the start."""
+    """The joint mirrored at the start: as far from it on the other side."""
     if isinstance(start, Slide) or isinstance(joint, Slide):
         return Slide(2 * start.value - joint.value)
     sine, cosine = 2 * start.sin * start.cos, start.cos * start.cos - start.sin * start.sin
@@ -206,7 +217,7 @@ def _mirrored(start: Angle | Slide, joint: Angle | Slide) -> Angle | Slide:
 
 
 def _apart(first: Joints, last: Joints) -> jax.Array:
-    """The largest difference of two sets of joints [rad, or reaches]; of angles the chord."""
+    """The largest difference of two sets of joints [rad, or reaches]; for angles the length of the chord."""
     return functools.reduce(jnp.maximum, map(_difference, first, last))
 
 
@@ -214,8 +225,8 @@ def _difference(first: Angle | Slide, last: Angle | Slide) -> jax.Array:
     return safe.norm(*(a - b for a, b in zip(jax.tree.leaves(last), jax.tree.leaves(first), strict=True)))
 
 
-def _walk(given: Given, joints: Joints) -> tuple[Pose, list[Pose]]:
-    """The last frame, and the frame before each joint."""
+def _forward(given: Given, joints: Joints) -> tuple[Pose, list[Pose]]:
+    """Forward kinematics of the arm as given: the last frame, and the frame before each joint."""
     frame, before = poses.IDENTITY, []
     for i, (link, joint) in enumerate(zip(given.links, joints, strict=True)):
         before.append(frame)
@@ -225,23 +236,27 @@ def _walk(given: Given, joints: Joints) -> tuple[Pose, list[Pose]]:
     return frame, before
 
 
-def _gap(given: Given, reached: Pose, goal: Pose, slip) -> Vector:
-    return vector.add(vector.subtract(reached.position, goal.position), vector.rotate(slip, given.tool))
+def _gap(given: Given, reached: Pose, goal: Pose, change) -> Vector:
+    return vector.add(
+        vector.subtract(reached.position, goal.position), vector.rotate(change, given.tool_point)
+    )
 
 
 def _step(given: Given, joints: Joints, goal: Pose, turning: bool, setting: Setting) -> Joints:
     """One damped step on all joints."""
-    reached, before = _walk(given, joints)
-    slip = tuple(map(vector.subtract, reached.rotation, goal.rotation))
-    gap = tuple(map(pin, _gap(given, reached, goal, slip)))
-    tip = vector.add(reached.position, vector.rotate(reached.rotation, given.tool))
+    reached, before = _forward(given, joints)
+    change = tuple(map(vector.subtract, reached.rotation, goal.rotation))
+    gap = tuple(map(pin, _gap(given, reached, goal, change)))
+    tip = vector.add(reached.position, vector.rotate(reached.rotation, given.tool_point))
     tip = tuple(map(pin, tip))
-    # Half the sum of the columns' cross products is the sine of the turn that is left, along its axis.
+    # The rotation error as a vector: half the sum of the cross products of the columns is the axis of the
+    # rotation that is left, times the sine of its angle.
     columns = zip(vector.transpose(reached.rotation), vector.transpose(goal.rotation), strict=True)
     turns = [vector.cross(mine, wanted) for mine, wanted in columns]
     turn = vector.scale(0.5, vector.add(vector.add(turns[0], turns[1]), turns[2]))
     wanted = (*vector.scale(-1, gap), *map(pin, turn))
     rows = 6 if turning else 3
+    # The columns of the geometric Jacobian, for the tool point.
     motions = []
     for joint, frame in zip(joints, before, strict=True):
         axis = tuple(row[2] for row in frame.rotation)
@@ -252,11 +267,13 @@ def _step(given: Given, joints: Joints, goal: Pose, turning: bool, setting: Sett
             motions.append((*map(pin, arm), *axis))
     motions = [m[:rows] for m in motions]
     wanted = wanted[:rows]
+    # The normal equations (J^T J + damping) x = J^T r. The damping, 16 eps, keeps them regular where the
+    # columns of J are dependent.
     count = len(joints)
-    matrix = [[pin(_dot(motions[i], motions[j])) for j in range(i + 1)] for i in range(count)]
+    matrix = [[pin(dot(motions[i], motions[j])) for j in range(i + 1)] for i in range(count)]
     for i in range(count):
-        matrix[i][i] = matrix[i][i] + setting.tiny / 4
-    steps = solve_symmetric(matrix, [pin(_dot(m, wanted)) for m in motions])
+        matrix[i][i] = matrix[i][i] + setting.zero_tolerance / 4
+    steps = solve_symmetric(matrix, [pin(dot(m, wanted)) for m in motions])
     size = functools.reduce(jnp.maximum, map(abs, steps))
     shrink = pin(LARGEST_STEP / jnp.maximum(size, LARGEST_STEP))
     moved = (_rounded(moved_on(joint, step * shrink)) for joint, step in zip(joints, steps, strict=True))
@@ -264,12 +281,8 @@ def _step(given: Given, joints: Joints, goal: Pose, turning: bool, setting: Sett
 
 
 def _rounded(joint: Angle | Slide) -> Angle | Slide:
-    """Back onto the circle."""
+    """The joint with its sine and cosine scaled back to length one."""
     if isinstance(joint, Slide):
         return joint
     size = safe.reciprocal_sqrt(joint.sin * joint.sin + joint.cos * joint.cos)
     return Angle(joint.sin * size, joint.cos * size, ())
-
-
-def _dot(u, v) -> Scalar:
-    return functools.reduce(vector.plus, map(vector.times, u, v))

@@ -1,7 +1,8 @@
 """From one goal to measured slots: what every family shares.
 
-The goal is brought to units of the reach and to the frame its family expects, the
-family proposes joints for every slot, and forward kinematics on the given arm decides which hold.
+The goal is converted to units of the reach and to the frame that its family expects. The family proposes
+joints for every slot. Forward kinematics on the given arm then measures each slot and decides whether it is
+valid.
 """
 
 import dataclasses
@@ -44,10 +45,10 @@ TURNING = ("pose", "planar_pose")
 
 
 class Slot(NamedTuple):
-    """One measured answer, in scalars; the fields are those of `Solutions`."""
+    """One measured answer, in scalars; most fields are those of `Solutions`."""
 
     joints: Joints
-    """What the measure was taken of."""
+    """The joints that were measured, as sines and cosines."""
     q: tuple[Scalar, ...]
     valid: jax.Array
     margin: Scalar
@@ -57,49 +58,50 @@ class Slot(NamedTuple):
     miss_squared: Scalar
     """Square of the larger error, in tolerances: valid slots have at most 1."""
     is_pose: jax.Array | bool = True
-    """Whether the goal was one, which is known before it is cleaned."""
+    """Whether the goal was a pose, which is known before it is cleaned."""
 
 
 def as_solved(arm: Arm) -> Arm:
-    """The arm without a correction that is too small for `valid` to see in the arm's type.
+    """The arm, without a correction that is too small to decide `valid` in the arm's type.
 
-    A hundredth of the tolerance is below what decides; the arm as recognized is solved at full speed.
+    Without a correction the arm is solved as recognized, which is faster. See `UNSEEN`.
     """
     if arm.correction is None or is_traced(arm):
         return arm
-    off, size = np.abs(np.asarray(arm.correction, float)), float(reach(arm))
-    most = max(off[:, :3].max() / size, off[:, 3:].max())
-    return dataclasses.replace(arm, correction=None) if most <= unseen(arm.dtype) else arm
+    rows, size = np.abs(np.asarray(arm.correction, float)), float(reach(arm))
+    largest = max(rows[:, :3].max() / size, rows[:, 3:].max())
+    return dataclasses.replace(arm, correction=None) if largest <= unseen(arm.dtype) else arm
 
 
 def unseen(dtype) -> float:
-    """What a correction must be larger than to count, [rad] and as a share of the reach."""
+    """The largest correction that is left out, [rad] and as a share of the reach."""
     return UNSEEN * VALID[np.dtype(dtype).name]
 
 
 class Frame(NamedTuple):
-    """What a goal has to pass to become a family's goal, and the table, in units of the reach."""
+    """What depends on the arm alone: its table in units of the reach, and the frames around it."""
 
     reach: Scalar
     """[m]"""
     per_reach: Scalar
+    """1 / reach [1/m]."""
     links: tuple[Link, ...]
-    """The last one bare: it ends in the tip, the frame that turns with its joint and nothing else."""
+    """The last one has no a, alpha or d of its own: it ends in the tip, the frame that its joint turns."""
     from_world: Pose
     """T_base_world."""
     from_tool: Pose
-    """T_tool_tip"""
-    tool: vector.Vector
-    """The tool point seen from the tip."""
+    """T_tool_tip."""
+    tool_point: vector.Vector
+    """Seen from the tip."""
     between: tuple[Pose, ...] | None
-    """What each link but the last is off by, at its end; see `Arm.correction`."""
-    off: Scalar
-    """A small part of all that they are off by: enough to bend an elbow that has to be straight on the
-    arm as recognized and need not be on the arm as given."""
+    """The correction at the end of each link but the last, see `Arm.correction`; None where there is none."""
+    correction_size: Scalar
+    """A small part (1 / 32) of the sum of these corrections: enough to bend an elbow that has to be straight
+    on the arm as recognized and need not be so on the arm as given."""
 
 
 def prepare(arm: Arm) -> Frame:
-    """Everything that depends on the arm alone."""
+    """The frame of an arm."""
     size = reach(arm)
     per = 1 / size
     table = tuple(
@@ -123,11 +125,11 @@ def prepare(arm: Arm) -> Frame:
         poses.inverse(tip_tool),
         tip_tool.position,
         between,
-        0.0 if between is None else _sum_off(arm, per),
+        0.0 if between is None else _correction_size(arm, per),
     )
 
 
-def _sum_off(arm: Arm, per: Scalar) -> Scalar:
+def _correction_size(arm: Arm, per: Scalar) -> Scalar:
     assert arm.correction is not None
     rows = [numbers(arm.correction[i]) for i in range(1, arm.n)]
     return sum(per * sum(map(abs, row[:3])) + sum(map(abs, row[3:])) for row in rows) / 32
@@ -140,7 +142,7 @@ def _wrapped(theta: Scalar) -> Scalar:
 def solve_scalars(
     arm: Arm,
     goal: Pose,
-    now: tuple[Scalar, ...] | None = None,
+    fallback: tuple[Scalar, ...] | None = None,
     tolerance: float | None = None,
 ) -> tuple[Slot, ...]:
     """Every slot for one goal, in scalars (or for many goals, one array a scalar).
@@ -148,20 +150,20 @@ def solve_scalars(
     Args:
         arm: An arm with a family.
         goal: T_world_tool with an orthonormal rotation; `clean` makes one of anything.
-        now: Joint values that arbitrary joints follow; zero by default.
+        fallback: Joint values where the goal leaves joints arbitrary; zero by default.
         tolerance: Overrides `VALID` for the goal's type.
 
     Returns:
         One `Slot` for each branch of the family, in slot order.
     """
     tolerance = VALID[jnp.result_type(goal.position[0]).name] if tolerance is None else tolerance
-    frame, tip, setting = _set(arm, goal, now)
+    frame, tip, setting = _prepared(arm, goal, fallback)
     allowed = tolerance * (1 + frame.per_reach * vector.norm(goal.position))
     turning = arm.task in TURNING
     family = FAMILIES[str(arm.family)]
     branches = family.branches(arm.signs, frame.links, tip, setting)
     if frame.between is not None:
-        given = Given(frame.links, frame.between, frame.tool)
+        given = Given(frame.links, frame.between, frame.tool_point)
         branches, gaps, turns = polished(given, branches, tip, turning, (allowed, tolerance), setting)
         measured = list(zip(gaps, turns, strict=True))
     else:
@@ -171,7 +173,7 @@ def solve_scalars(
     for branch, (gap_squared, turn_squared) in zip(branches, measured, strict=True):
         gap_squared, turn_squared = pin(gap_squared), pin(turn_squared)
         turn_squared = turn_squared if turning else jnp.zeros_like(gap_squared)
-        # |R - S| = sqrt(8) sin(angle / 2), in the Frobenius norm.
+        # |R - S| = sqrt(8) sin(angle / 2) in the Frobenius norm, which is sqrt(2) angle for small angles.
         valid = (gap_squared <= allowed * allowed) & (turn_squared <= 2 * tolerance**2)
         half = safe.sqrt(jnp.minimum(turn_squared / 8, 1))
         margin = jnp.minimum(branch.margin, 1)
@@ -197,52 +199,63 @@ def proposed(arm: Arm, goal: Pose) -> list[tuple[Scalar, ...]]:
 
     Arguments as in `solve_scalars`. Nothing is measured, and the arm is taken as recognized.
     """
-    frame, tip, setting = _set(arm, goal, None)
+    frame, tip, setting = _prepared(arm, goal, None)
     family = FAMILIES[str(arm.family)]
     branches = (family.nearest or family.branches)(arm.signs, frame.links, tip, setting)
     motors = _motors(arm)
     return [motors(_joint_values(frame, branch.joints)) for branch in branches]
 
 
-def proposed_at_ends(arm: Arm, goal: Pose) -> list[tuple[Scalar, ...]]:
-    """As `proposed`, with one joint at one of its limits; none where no joint has any or may be held so."""
-    family, ends = FAMILIES[str(arm.family)], {}
-    for joint in family.may_hold:
-        angles = [vector.plus(links(arm)[joint].theta, end) for end in numbers(arm.limits[joint])]
+def proposed_at_limits(arm: Arm, goal: Pose) -> list[tuple[Scalar, ...]]:
+    """As `proposed`, with one joint locked at one of its limits.
+
+    None where the family locks no joint, or where these joints have no limits.
+    """
+    family, limits = FAMILIES[str(arm.family)], {}
+    for joint in family.lockable:
+        angles = [vector.plus(links(arm)[joint].theta, limit) for limit in numbers(arm.limits[joint])]
         angles = [x for x in angles if not isinstance(x, float) or math.isfinite(x)]
-        # An end that may turn out not to be one becomes some angle.
-        ends[joint] = [
+        # A traced limit may be infinite at run time: any angle will do in its place.
+        limits[joint] = [
             known_sincos(x if isinstance(x, float) else jnp.where(jnp.isfinite(x), x, 0)) for x in angles
         ]
-    if family.held is None or not any(ends.values()):
+    if family.locked is None or not any(limits.values()):
         return []
-    frame, tip, setting = _set(arm, goal, None)
+    frame, tip, setting = _prepared(arm, goal, None)
     motors = _motors(arm)
-    found = family.held(arm.signs, frame.links, tip, setting, ends)
-    return [motors(_joint_values(frame, joints)) for joints in found]
+    ways = family.locked(arm.signs, frame.links, tip, setting, limits)
+    return [motors(_joint_values(frame, joints)) for joints in ways]
 
 
-def _set(arm: Arm, goal: Pose, now) -> tuple[Frame, Pose, Setting]:
-    """The arm, the goal as its family is asked for it, and the rest that a family is handed."""
+def _prepared(arm: Arm, goal: Pose, fallback: tuple[Scalar, ...] | None) -> tuple[Frame, Pose, Setting]:
+    """The arm's frame, the goal as its family expects it, and the setting of the family."""
     dtype = jnp.result_type(goal.position[0])
     frame = prepare(arm)
-    tiny = TINY * float(np.finfo(dtype).eps)
-    now = coupled(arm, (0.0,) * arm.n if now is None else now)
-    fill = tuple(_now(link, value, frame, dtype) for link, value in zip(frame.links, now, strict=True))
+    zero = TINY * float(np.finfo(dtype).eps)
+    values = coupled(arm, (0.0,) * arm.n if fallback is None else fallback)
+    joints = tuple(
+        _fallback(link, value, frame, dtype) for link, value in zip(frame.links, values, strict=True)
+    )
     scaled = Pose(goal.rotation, vector.scale(frame.per_reach, goal.position))
-    tip = jax.tree.map(pin, _asked(arm.task, frame, scaled))
+    tip = jax.tree.map(pin, _tip_goal(arm.task, frame, scaled))
     return (
         frame,
         tip,
-        Setting(fill, frame.tool, tiny, vector.plus(tiny / 8, frame.off), frame.off),
+        Setting(
+            fallback=joints,
+            tool_point=frame.tool_point,
+            zero_tolerance=zero,
+            length_uncertainty=vector.plus(zero / 8, frame.correction_size),
+            correction_size=frame.correction_size,
+        ),
     )
 
 
-def _asked(task: str, frame: Frame, goal: Pose) -> Pose:
-    """What the task asks of the last frame, seen from frame 0.
+def _tip_goal(task: str, frame: Frame, goal: Pose) -> Pose:
+    """The goal of the tip, seen from frame 0.
 
-    Where the orientation is not asked for, it is the tool point itself, on a frame of zeros: so that
-    the tool point of any frame that is compared with it counts whole.
+    Where the task leaves the orientation open, the goal is the tool point itself, with a rotation of zeros.
+    `_mismatch` then compares the whole tool point of the reached frame with it.
     """
     seen = poses.compose(frame.from_world, goal)
     if task in TURNING:
@@ -252,7 +265,10 @@ def _asked(task: str, frame: Frame, goal: Pose) -> Pose:
 
 
 def _motors(arm: Arm) -> Callable[[tuple[Scalar, ...]], tuple[Scalar, ...]]:
-    """From joint values to motor values, in (-pi, pi] where a whole turn of the motor leaves the pose."""
+    """A function from joint values to motor values.
+
+    Motor values are in (-pi, pi] where a whole turn of the motor does not change the pose.
+    """
     if arm.coupling is None:
         return lambda q: q
     known = isinstance(arm.coupling, np.ndarray) and arm.coupling.dtype != object
@@ -272,7 +288,7 @@ def _row(entries) -> jax.Array:
     return jnp.stack([jnp.asarray(x) for x in entries]) if isinstance(entries, np.ndarray) else entries
 
 
-def _now(link: Link, value: Scalar, frame: Frame, dtype) -> Angle | Slide:
+def _fallback(link: Link, value: Scalar, frame: Frame, dtype) -> Angle | Slide:
     if link.kind == "P":
         return Slide(jnp.asarray(frame.per_reach * value, dtype))
     total = jnp.asarray(link.theta + value, dtype)
@@ -282,27 +298,28 @@ def _now(link: Link, value: Scalar, frame: Frame, dtype) -> Angle | Slide:
 def _mismatch(frame: Frame, family: Family, branch: Branch) -> tuple[Scalar, Scalar]:
     """Squared distance of the tool points, and squared Frobenius norm of R - S.
 
-    The goal is unwound through the first joints and stripped of the last ones, as many as the
-    family says; the joints between are wound forward, and the two are compared where they meet.
-    That is forward kinematics on the given arm, with as little of it per slot as the slots allow.
+    Forward kinematics on the given arm, divided so that slots share as much of it as they can: the first
+    joints (`Family.first`) and the last ones (`Family.last`) are moved to the goal's side of the equation,
+    and the joints between are multiplied out. Both sides are compared in the frame after the latter.
     """
     joints = [placed(link, joint) for link, joint in zip(frame.links, branch.joints, strict=True)]
     chain = list(zip(frame.links, joints, strict=True))
     end = len(chain) - family.last
-    goal, tool = branch.seen, frame.tool
+    goal, tool = branch.seen, frame.tool_point
     for link, joint in reversed(chain[end:]):
         goal = strip(goal, link, joint)
         tool = _carried(tool, link, joint)
     reached = poses.IDENTITY
     for link, joint in chain[family.first : end]:
         reached = advance(reached, link, joint)
-    slip = tuple(map(vector.subtract, reached.rotation, goal.rotation))
-    gap = vector.add(vector.subtract(reached.position, goal.position), vector.rotate(slip, tool))
-    return vector.dot(gap, gap), sum(vector.dot(row, row) for row in slip)
+    change = tuple(map(vector.subtract, reached.rotation, goal.rotation))
+    # The tool point is at p + R t: its error has a part from the positions and one from the rotations.
+    gap = vector.add(vector.subtract(reached.position, goal.position), vector.rotate(change, tool))
+    return vector.dot(gap, gap), sum(vector.dot(row, row) for row in change)
 
 
 def _carried(point: vector.Vector, link: Link, joint: Joint) -> vector.Vector:
-    """A point of the frame after the link, seen from the frame before it."""
+    """A point, given in the frame after the link, seen from the frame before it."""
     step = advance(poses.IDENTITY, link, joint)
     return vector.add(vector.rotate(step.rotation, point), step.position)
 

@@ -1,7 +1,7 @@
-"""The loops of a design study: one program for all steps and starts.
+"""The compiled loops of `design` and `place`: gradient ascent from many starts in one program.
 
-Starts are laps of a loop within a loop over steps. A start whose slope is not finite stands
-still for that step and disturbs no other.
+The outer loop takes the steps, the inner one goes over the starts. A start whose gradient is not finite does
+not move in that step, and no other start is affected.
 
 Source: the augmented Lagrangian for inequalities is that of Nocedal and Wright, Numerical Optimization, 17.4.
 """
@@ -19,14 +19,14 @@ from ikjax.arm.arm import Arm
 from ikjax.arm.forward import reach
 from ikjax.ik.margins import limited_margins, smooth_max, smooth_min
 from ikjax.ik.solve import solve
-from ikjax.synthesis.parameters import TWIST, Parameters, inverse, moved, product
+from ikjax.synthesis.parameters import TWIST, Parameters, moved_by_twist, pose_inverse, pose_product
 
 Objective = Callable[[Arm, Any, Any], jax.Array]
 Constraint = Callable[[Arm], jax.Array]
 
 
-class Known:
-    """An arm as a constant of a program: equal where all its numbers are."""
+class ConstantArm:
+    """An arm as a constant of a program; equal to another where all numbers are equal."""
 
     def __init__(self, arm: Arm):
         self.arm = arm.baked()
@@ -37,132 +37,150 @@ class Known:
         return hash(self._key)
 
     def __eq__(self, other) -> bool:
-        return isinstance(other, Known) and self._key == other._key
+        return isinstance(other, ConstantArm) and self._key == other._key
 
 
 @dataclasses.dataclass(frozen=True)
-class Plan:
-    """What is fixed while a study runs; hashable."""
+class DesignPlan:
+    """What is fixed while a design study runs; hashable, so that it may be static under jit."""
 
-    known: Known
+    constant: ConstantArm
     parameters: Parameters
     objective: Objective
     constraints: tuple[Constraint, ...]
     optimizer: optax.GradientTransformation
     limits: bool
-    batch: int | None
-    together: int
-    """Starts that are worked on at a time."""
+    goal_batch_size: int | None
+    """Rows of goals drawn for each step; None for all."""
+    start_batch_size: int
+    """Starts evaluated at a time."""
 
-    def made(self, z: jax.Array) -> Arm:
-        return self.parameters.put(self.known.arm, self.parameters.values(z))
+    def arm_at(self, z: jax.Array) -> Arm:
+        return self.parameters.put(self.constant.arm, self.parameters.values(z))
 
     def score(self, z: jax.Array, goals: jax.Array, blur) -> jax.Array:
-        arm = self.made(z)
-        sol = solve(*self.parameters.apart(self.known.arm, goals, self.parameters.values(z)))
+        arm = self.arm_at(z)
+        sol = solve(*self.parameters.arm_and_goals(self.constant.arm, goals, self.parameters.values(z)))
         sol = limited_margins(arm, sol) if self.limits else sol
         return jnp.mean(self.objective(arm, sol, blur))
 
-    def over(self, z: jax.Array) -> jax.Array:
+    def violations(self, z: jax.Array) -> jax.Array:
         """How far each constraint is above zero, (c,)."""
-        arm = self.made(z)
+        arm = self.arm_at(z)
         own = [jnp.ravel(jnp.asarray(g(arm), z.dtype)) for g in self.constraints]
-        return jnp.concatenate([*own, self.parameters.over(self.parameters.values(z))])
+        return jnp.concatenate([*own, self.parameters.violations(self.parameters.values(z))])
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class State:
+    """Where all starts of a design study are."""
+
     z: jax.Array
     """(starts, k)"""
     memory: Any
-    """Of the optimizer."""
+    """State of the optimizer."""
     multipliers: jax.Array
-    """(starts, c)"""
+    """(starts, c) Lagrange multipliers."""
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def started(plan: Plan, z: jax.Array) -> State:
-    multipliers = jax.vmap(lambda z: jnp.zeros_like(plan.over(z)))(z)
+def initial_state(plan: DesignPlan, z: jax.Array) -> State:
+    multipliers = jax.vmap(lambda z: jnp.zeros_like(plan.violations(z)))(z)
     return State(z, jax.vmap(plan.optimizer.init)(z), multipliers)
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def chunk(plan: Plan, state: State, goals, keys, blurs, pull):
-    """A few steps of every start: the state, and scores (steps, starts)."""
+def take_steps(plan: DesignPlan, state: State, goals, keys, blurs, penalty):
+    """A few steps of every start, and then one update of the multipliers.
+
+    Args:
+        plan: What is fixed.
+        state: Of all starts.
+        goals: (rows, ..., 4, 4).
+        keys: (steps,) random keys, for drawing rows of goals.
+        blurs: (steps,) [m].
+        penalty: Weight of the squared constraints.
+
+    Returns:
+        The state, and blurred scores (steps, starts).
+    """
 
     def loss(z, multipliers, goals, blur):
-        score, over = plan.score(z, goals, blur), plan.over(z)
-        push = jnp.maximum(multipliers + pull * over, 0)
-        cost = ((push**2 - multipliers**2) / (2 * pull)).sum()
+        score, violations = plan.score(z, goals, blur), plan.violations(z)
+        updated = jnp.maximum(multipliers + penalty * violations, 0)
+        cost = ((updated**2 - multipliers**2) / (2 * penalty)).sum()
         return cost - score, score
 
-    def step(state: State, each):
-        key, blur = each
-        some = goals
-        if plan.batch is not None:
-            some = goals[jax.random.choice(key, len(goals), (plan.batch,), replace=False)]
+    def step(state: State, inputs):
+        key, blur = inputs
+        batch = goals
+        if plan.goal_batch_size is not None:
+            batch = goals[jax.random.choice(key, len(goals), (plan.goal_batch_size,), replace=False)]
 
-        def slope(one):
-            z, multipliers = one
-            (value, score), slope = jax.value_and_grad(loss, has_aux=True)(z, multipliers, some, blur)
-            sound = jnp.isfinite(value) & jnp.isfinite(slope).all()
-            return jnp.where(sound, slope, 0), score
+        def gradient_of(start):
+            z, multipliers = start
+            (value, score), gradient = jax.value_and_grad(loss, has_aux=True)(z, multipliers, batch, blur)
+            finite = jnp.isfinite(value) & jnp.isfinite(gradient).all()
+            return jnp.where(finite, gradient, 0), score
 
-        slopes, scores = jax.lax.map(slope, (state.z, state.multipliers), batch_size=plan.together)
-        # Optimizers promote as they please, whatever the caller is strict about.
+        starts = (state.z, state.multipliers)
+        gradients, scores = jax.lax.map(gradient_of, starts, batch_size=plan.start_batch_size)
+        # Optimizers promote types implicitly; a caller's strict settings must not stop them.
         with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
-            updates, memory = jax.vmap(plan.optimizer.update)(slopes, state.memory, state.z)
+            updates, memory = jax.vmap(plan.optimizer.update)(gradients, state.memory, state.z)
             moved = optax.apply_updates(state.z, updates)
         moved = jnp.where(jnp.isfinite(moved), moved, state.z)
         return State(moved, memory, state.multipliers), scores
 
     state, scores = jax.lax.scan(step, state, (keys, blurs))
-    over = jax.vmap(plan.over)(state.z)
-    multipliers = jnp.maximum(state.multipliers + pull * over, 0)
+    violations = jax.vmap(plan.violations)(state.z)
+    multipliers = jnp.maximum(state.multipliers + penalty * violations, 0)
     return dataclasses.replace(state, multipliers=multipliers), scores
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def judged(plan: Plan, z: jax.Array, goals: jax.Array):
+def evaluate_exactly(plan: DesignPlan, z: jax.Array, goals: jax.Array):
     """Numbers (m, k), exact scores (m,) and greatest violations (m,), inf for NaN, of every z."""
 
-    def judge(z):
-        over = plan.over(z)
-        return plan.score(z, goals, 0), jnp.max(jnp.where(jnp.isnan(over), jnp.inf, over), initial=-jnp.inf)
+    def evaluate(z):
+        violations = plan.violations(z)
+        greatest = jnp.max(jnp.where(jnp.isnan(violations), jnp.inf, violations), initial=-jnp.inf)
+        return plan.score(z, goals, 0), greatest
 
-    exact, over = jax.lax.map(judge, z, batch_size=plan.together)
-    return jax.vmap(plan.parameters.values)(z), exact, over
+    exact, greatest = jax.lax.map(evaluate, z, batch_size=plan.start_batch_size)
+    return jax.vmap(plan.parameters.values)(z), exact, greatest
 
 
 @dataclasses.dataclass(frozen=True)
-class Hill:
-    """What is fixed while places are nudged; hashable."""
+class PlacementPlan:
+    """What is fixed while placements are polished; hashable, so that it may be static under jit."""
 
-    known: Known
-    climbs: tuple[str, ...]
-    """Which numbers of a place move; see `synthesis.search_space`."""
+    constant: ConstantArm
+    free_coordinates: tuple[str, ...]
+    """Which coordinates of a placement move; see `synthesis.search_space`."""
     limits: bool
-    together: int
-    """Places that are worked on at a time."""
+    start_batch_size: int
+    """Placements evaluated at a time."""
 
-    def base(self, base: jax.Array, values: jax.Array) -> jax.Array:
-        """Where the base stands, as `Room.bases` has it: turned about z first, then tilted and shifted."""
-        numbers = dict(zip(self.climbs, values, strict=True))
-        x, y, z, rx, ry, rz = (numbers.get(name, jnp.zeros_like(values[0])) for name in TWIST)
-        still = jnp.zeros_like(values[0])
-        turned = moved(base, (still, still, still, still, still, rz))
-        return moved(turned, (x, y, z, rx, ry, still))
+    def moved_base(self, base: jax.Array, values: jax.Array) -> jax.Array:
+        """The base's pose as `SearchSpace.base_poses` has it: turned about z, then tilted and shifted."""
+        given = dict(zip(self.free_coordinates, values, strict=True))
+        x, y, z, rx, ry, rz = (given.get(name, jnp.zeros_like(values[0])) for name in TWIST)
+        zero = jnp.zeros_like(values[0])
+        turned = moved_by_twist(base, (zero, zero, zero, zero, zero, rz))
+        return moved_by_twist(turned, (x, y, z, rx, ry, zero))
 
-    def height(self, values: jax.Array, goals: jax.Array, blur: jax.Array):
-        """The smooth score, and what is exact: how many goals are reached, the worst margin [m]."""
-        arm = self.known.arm
-        # The base stands still and the goals move instead: the kernel then knows more of its arm.
+    def smooth_score(self, values: jax.Array, goals: jax.Array, blur: jax.Array):
+        """The smooth score; and the exact number of goals reached and worst margin [m]."""
+        arm = self.constant.arm
+        # The base is fixed and the goals move instead: more of the arm is then constant in the kernel.
         base = jnp.asarray(arm.base, values.dtype)
-        sol = solve(arm, product(product(base, inverse(self.base(base, values))), goals))
+        back = pose_product(base, pose_inverse(self.moved_base(base, values)))
+        sol = solve(arm, pose_product(back, goals))
         sol = limited_margins(arm, sol) if self.limits else sol
         best = smooth_max(sol.margin, blur)
-        # Where all goals are reached the share is flat, and the worst of them leads on.
+        # Where all goals are reached the share is constant; the worst margin still has a gradient.
         worst = smooth_min(best, blur) / float(reach(arm))
         score = jnp.sum(jax.nn.sigmoid(best / blur)) + worst / 2
         count = jnp.sum(sol.valid.any(-1), dtype=jnp.int32)
@@ -171,56 +189,62 @@ class Hill:
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class Best:
+class BestPlacements:
+    """The best placement so far of each start."""
+
     values: jax.Array
     """(m, k)"""
     count: jax.Array
     """(m,) of goals reached."""
     worst: jax.Array
-    """(m,) [m]"""
+    """(m,) worst margin [m]"""
 
 
-# It soon forgets how steep the share was, once that is flat.
+# Short averages: the large gradients of the share must not slow the ascent once the share is constant.
 _ADAM = optax.scale_by_adam(b1=0.8, b2=0.9)
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def nudged(hill: Hill, values, goals, units, lower, upper, blurs, rates):
-    """The best place that each start comes by, itself among them.
+def polish_placements(
+    plan: PlacementPlan, values, goals, units, lower, upper, blurs, rates
+) -> BestPlacements:
+    """The best placement that each start passes, the start itself included.
 
     Args:
-        hill: What is climbed.
+        plan: What is fixed.
         values: (m, k) where to start.
         goals: (g, 4, 4).
-        units: (k,) what a step of one is of each number.
+        units: (k,) a step of one, in each coordinate.
         lower, upper: (k,) bounds.
-        blurs, rates: (steps + 1,) of each step; the last is only looked at.
+        blurs, rates: (steps + 1,) of each step; the last placement is only evaluated.
     """
 
-    def slope(values, blur):
-        if len(blurs) == 1:  # nobody moves, so no slope need be compiled
-            return jnp.zeros_like(values), *hill.height(values, goals, blur)[1]
-        climb = jax.value_and_grad(hill.height, has_aux=True)
-        (_, exact), slope = climb(values, goals, blur)
-        return jnp.where(jnp.isfinite(slope).all(), slope, 0), *exact
+    def evaluate(values, blur):
+        if len(blurs) == 1:  # no step is taken, so that no gradient need be compiled
+            return jnp.zeros_like(values), *plan.smooth_score(values, goals, blur)[1]
+        value_and_gradient = jax.value_and_grad(plan.smooth_score, has_aux=True)
+        (_, exact), gradient = value_and_gradient(values, goals, blur)
+        return jnp.where(jnp.isfinite(gradient).all(), gradient, 0), *exact
 
-    def step(state, each):
+    def step(state, inputs):
         values, memory, best = state
-        blur, rate = each
-        slopes, count, worst = jax.lax.map(lambda v: slope(v, blur), values, batch_size=hill.together)
+        blur, rate = inputs
+        gradients, count, worst = jax.lax.map(
+            lambda v: evaluate(v, blur), values, batch_size=plan.start_batch_size
+        )
         better = (count > best.count) | ((count == best.count) & (worst > best.worst))
         best = jax.tree.map(
             lambda new, old: jnp.where(better.reshape(-1, *[1] * (new.ndim - 1)), new, old),
-            Best(values, count, worst),
+            BestPlacements(values, count, worst),
             best,
         )
-        # Optimizers promote as they please, whatever the caller is strict about.
+        # Optimizers promote types implicitly; a caller's strict settings must not stop them.
         with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
-            updates, memory = jax.vmap(_ADAM.update)(slopes, memory, values)
+            updates, memory = jax.vmap(_ADAM.update)(gradients, memory, values)
             moved = jnp.clip(values + rate * units * updates, lower, upper)
         return (moved, memory, best), None
 
-    nowhere = jnp.full(len(values), -jnp.inf, values.dtype)
-    best = Best(values, jnp.zeros(len(values), jnp.int32), nowhere)
+    lowest = jnp.full(len(values), -jnp.inf, values.dtype)
+    best = BestPlacements(values, jnp.zeros(len(values), jnp.int32), lowest)
     start: Any = (values, jax.vmap(_ADAM.init)(values), best)
     return jax.lax.scan(step, start, (blurs, rates))[0][2]

@@ -1,7 +1,7 @@
-"""`design`: a better arm by gradient, many starts at once, and an exact count of what it reaches.
+"""`design`: a better arm by gradient ascent from many starts, and an exact count of what it reaches.
 
-A score is climbed while its blur shrinks; what decides in the end is the exact score. Only
-between chunks of steps does the host look in.
+The ascent maximizes a smooth score, whose blur shrinks from step to step; the exact score decides in the end.
+The host is involved only between chunks of steps.
 """
 
 import dataclasses
@@ -23,7 +23,7 @@ from ikjax.ik.solve import as_goals, check_family, solve
 from ikjax.synthesis import ascent
 from ikjax.synthesis.ascent import Constraint, Objective
 from ikjax.synthesis.objectives import NAMED
-from ikjax.synthesis.parameters import chosen
+from ikjax.synthesis.parameters import choose_parameters
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -31,29 +31,29 @@ class DesignResult:
     """The best arm of a design study, how it was found, and what it still cannot do."""
 
     arm: Arm
-    """The best of all starts, by the exact score; the first one as it began is among them."""
+    """The best by the exact score, of all starts at their end and as they began."""
     start: Arm
     """The arm that was given."""
     values: dict[str, float]
-    """What moved, by name [m, rad]; shifts and turns of base and tool from where they were."""
+    """What varied, by name [m, rad]; shifts and turns of base and tool from where they were."""
     score: float
-    """The objective of `arm`, exact."""
+    """The exact objective of `arm`."""
     start_score: float
-    """That of the given arm, moved between the bounds and tied where it was not."""
+    """That of the given arm, after it was moved into the bounds and onto the ties."""
     reached: np.ndarray
-    """bool, the goals' shape: what `arm` reaches, by `solve` and, where limits count, `within_limits`."""
+    """bool, the goals' shape: what `arm` reaches, by `solve` and, where limits count, by `within_limits`."""
     margin: np.ndarray
-    """[m], the goals' shape: of each goal's best branch, joint limits left out."""
+    """[m], the goals' shape: the margin of each goal's best branch, joint limits ignored."""
     scores: np.ndarray
-    """(starts,) exact scores in the end."""
+    """(starts,) exact scores at the end."""
     numbers: np.ndarray
-    """(starts, k) what moved, in the end, in the order of `values`."""
+    """(starts, k) what varied, at the end, in the order of `values`."""
     history: np.ndarray
-    """(steps, starts) the score as it was climbed: with its blur, and over the batch of the step."""
+    """(steps, starts) the smooth score of each step: with its blur, over its batch of goals."""
     violation: float
     """How far the worst constraint of `arm` is above zero; -inf without constraints."""
     left_out: np.ndarray
-    """Rows of the goals that hold what is no pose."""
+    """Rows of the goals that are no poses."""
     goals: np.ndarray
     """The goals of `reached`: without those rows."""
 
@@ -87,19 +87,19 @@ class DesignResult:
 
 
 CHUNK = 25
-"""Steps between two looks of the host; multipliers of constraints change there."""
+"""Steps of one compiled call; the multipliers of constraints are updated after each."""
 
-BLOCK = 4096
-"""Goals, over all starts, that are worked on at a time."""
+BATCH_SIZE = 4096
+"""Goals, over all starts, that are evaluated at a time."""
 
-PULL = 10.0
+PENALTY = 10.0
 """Weight of a constraint's square at first; it doubles with every chunk, up to a thousandfold."""
 
-NEAR, AT = 4.0, 20.0
-"""Logistic coordinates two hundredths of the way from a bound, and at it but for a billionth."""
+NEAR_BOUND, AT_BOUND = 4.0, 20.0
+"""Logistic coordinates: 0.02 of the width from a bound, and 2e-9 of it."""
 
-SEARCH, LONGER, SHORTER = 0.2, 1.5, 0.8
-"""Steps of the search at the end: at first, and how they change."""
+SEARCH_STEP, STEP_GROWTH, STEP_SHRINKAGE = 0.2, 1.5, 0.8
+"""Of the local search: its first step, and the factors after a round that improved and one that did not."""
 
 
 def design(
@@ -120,95 +120,95 @@ def design(
     seed: int = 0,
     progress: Callable[[int, np.ndarray], Any] | None = None,
 ) -> DesignResult:
-    """Move some numbers of an arm so that it serves its goals better.
+    """Vary some numbers of an arm so that it serves its goals better.
 
     Args:
-        arm: Where to start; an arm with a family, which it keeps.
-        goals: T_world_tool, (..., 4, 4), in whatever shape the objective looks for. Rows along the first
-            axis that hold what is no pose are left out, and counted in the report.
-        vary: What may move and between which bounds: {"a2": (0.2, 0.6), "base.xyz": (-0.3, 0.3)}; see
-            `synthesis.parameters.chosen`. Base and tool count from where they are.
+        arm: Where to start: an arm with a family, which it keeps.
+        goals: T_world_tool, (..., 4, 4), in the shape that the objective expects. Rows along the first axis
+            that are no poses are left out, and counted in the report.
+        vary: What may vary and between which bounds: {"a2": (0.2, 0.6), "base.xyz": (-0.3, 0.3)}; see
+            `synthesis.parameters.choose_parameters`. Base and tool count from where they are.
         objective: "coverage", "dexterous_share", "worst_margin", "mean_manipulability", or a function
-            (arm, sol, blur) -> score, to be made as great as can be; see `synthesis.objectives`. Functions
-            must be the same object from call to call for a compiled program to be used again.
-        ties: Linear equations that hold throughout: "a2 + d4 = 0.8".
-        constraints: What must hold in the end: linear inequalities between what varies, "a2 + d4 <= 0.8", or
+            (arm, sol, blur) -> score, which is maximized; see `synthesis.objectives`. A compiled program is
+            used again only if the function is the same object in both calls.
+        ties: Linear equations that always hold: "a2 + d4 = 0.8".
+        constraints: What must hold at the end: linear inequalities between what varies, "a2 + d4 <= 0.8", or
             functions of the arm that return numbers, met where these are not above zero.
-        starts: How many arms climb: the given one, and others anywhere between the bounds.
-        steps: Of each.
-        optimizer: Any of optax; adam by default, its rate 0.1 falling to zero along a cosine. What it moves
-            are logistic coordinates, one unit of which is up to a quarter of the way between bounds.
-        blur: Of the score at first and in the end, as a share of the arm's reach.
+        starts: Number of starts: the given arm, and random ones between the bounds.
+        steps: Steps of each start.
+        optimizer: Any of optax; by default adam, with a rate that falls from 0.1 to zero along a cosine. It
+            moves logistic coordinates, of which one unit is up to a quarter of the width between the bounds.
+        blur: Of the score at first and at the end, as a share of the arm's reach.
         limits: Whether the joint limits count.
-        batch: So many rows of goals, picked at random, for each step; all by default.
-        local_search: So many arms near the best, in whole rounds of twice `starts`, are judged by the exact
-            score in the end, and the best of them is taken. A share of goals has steps that no slope sees,
-            and a bound is only neared by climbing.
-        seed: Of the other starts, and of the picking.
+        batch: Number of rows of goals, drawn at random, for each step; all by default.
+        local_search: Number of arms near the best, in whole rounds of twice `starts`, that are evaluated by
+            the exact score at the end; the best of them is taken. A share of goals has steps where its
+            gradient is zero, and gradient ascent only approaches a bound.
+        seed: Of the random starts and of the drawn goals.
         progress: Called with the steps done and the scores (starts,) after every chunk.
 
     Returns:
         A `DesignResult`: the best arm, its numbers, the history, and an exact count by `solve`.
 
     Raises:
-        ValueError: As `synthesis.parameters.chosen` says; an arm of no family, goals of a wrong shape or none
-            that is a pose, an unknown objective, a constraint that returns no number (a comparison, say).
+        ValueError: As `synthesis.parameters.choose_parameters` says; an arm of no family, goals of a wrong
+            shape or without any pose, an unknown objective, a constraint that returns no number (but a
+            comparison, for example).
     """
     check_family(arm)
     goals = as_goals(goals)
     goals = goals[None] if goals.ndim == 2 else goals
-    arm, kept = arm.astype(goals.dtype), _poses(arm, goals)
-    if not kept.any():
+    arm, is_pose = arm.astype(goals.dtype), _rows_of_poses(arm, goals)
+    if not is_pose.any():
         raise ValueError("goals must hold a pose, none of them is one")
-    goals = goals if kept.all() else goals[np.flatnonzero(kept)]
-    _check(starts, steps, blur, batch, local_search)
-    rules, functions = _constraints(arm, constraints)
+    goals = goals if is_pose.all() else goals[np.flatnonzero(is_pose)]
+    _check_options(starts, steps, blur, batch, local_search)
+    inequalities, functions = _split_constraints(arm, constraints)
     if isinstance(objective, str):
         if objective not in NAMED:
             raise ValueError(f"objective must be a function or one of {', '.join(NAMED)}, got {objective!r}")
         objective = NAMED[objective]
-    parameters = chosen(arm, vary, [ties] if isinstance(ties, str) else ties, rules)
+    ties = [ties] if isinstance(ties, str) else ties
+    parameters = choose_parameters(arm, vary, ties, inequalities)
     batch = batch if batch is not None and batch < len(goals) else None
     size = float(reach(arm.baked()))
-    plan = ascent.Plan(
-        ascent.Known(arm),
+    plan = ascent.DesignPlan(
+        ascent.ConstantArm(arm),
         parameters,
         objective,
         functions,
-        _usual(steps) if optimizer is None else optimizer,
+        _default_optimizer(steps) if optimizer is None else optimizer,
         limits,
         batch,
-        max(1, BLOCK // ((batch or len(goals)) * int(np.prod(goals.shape[1:-2])))),
+        max(1, BATCH_SIZE // ((batch or len(goals)) * int(np.prod(goals.shape[1:-2])))),
     )
     first = parameters.coordinates(parameters.of(arm))
     rest = parameters.random(np.random.default_rng(seed), starts - 1)
     z = jnp.asarray(np.concatenate([first[None], rest]), goals.dtype)
-    state = ascent.started(plan, z)
+    state = ascent.initial_state(plan, z)
     blurs = size * np.geomspace(*blur, max(steps, 1))
     scores = []
     for at in range(0, steps, CHUNK):
-        some = min(CHUNK, steps - at)
-        keys = jax.random.split(jax.random.fold_in(jax.random.key(seed), at), some)
-        pull = min(PULL * 2.0 ** (at // CHUNK), 1000 * PULL)
-        state, score = ascent.chunk(
-            plan, state, goals, keys, jnp.asarray(blurs[at : at + some], z.dtype), jnp.asarray(pull, z.dtype)
-        )
+        count = min(CHUNK, steps - at)
+        keys = jax.random.split(jax.random.fold_in(jax.random.key(seed), at), count)
+        penalty = min(PENALTY * 2.0 ** (at // CHUNK), 1000 * PENALTY)
+        numbers = (jnp.asarray(blurs[at : at + count], z.dtype), jnp.asarray(penalty, z.dtype))
+        state, score = ascent.take_steps(plan, state, goals, keys, *numbers)
         scores.append(np.asarray(score))
         if progress is not None:
-            progress(at + some, scores[-1][-1])
-    everyone = np.concatenate([z, state.z])
-    judge = functools.partial(ascent.judged, plan, goals=goals)
-    values, exact, over = (np.asarray(x) for x in judge(jnp.asarray(everyone, z.dtype)))
+            progress(at + count, scores[-1][-1])
+    candidates = np.concatenate([z, state.z])
+    evaluate = functools.partial(ascent.evaluate_exactly, plan, goals=goals)
+    values, exact, violations = (np.asarray(x) for x in evaluate(jnp.asarray(candidates, z.dtype)))
     if np.isnan(exact).all():
         raise ValueError(
             "objective must give a number for some arm, got nan for the given one and all starts"
         )
-    best = _best(exact, over, np.arange(len(exact)) < starts)
-    number, score, violation = values[best], exact[best], over[best]
+    i = _best_index(exact, violations, np.arange(len(exact)) < starts)
+    best = values[i], exact[i], violations[i]
     if local_search:
-        number, score, violation = _searched(
-            judge, everyone[best], (number, score, violation), local_search, seed, len(everyone)
-        )
+        best = _search_locally(evaluate, candidates[i], best, local_search, seed, len(candidates))
+    number, score, violation = best
     made = parameters.put(arm, jnp.asarray(number, goals.dtype))
     sol = solve(made, goals)
     sol = within_limits(made, sol) if limits else sol
@@ -224,40 +224,54 @@ def design(
         numbers=values[starts:],
         history=np.concatenate(scores) if scores else np.zeros((0, starts)),
         violation=float(violation),
-        left_out=np.flatnonzero(~kept),
+        left_out=np.flatnonzero(~is_pose),
         goals=np.asarray(goals),
     )
 
 
-def _best(exact: np.ndarray, over: np.ndarray, given: np.ndarray) -> int:
-    """The greatest exact score among those that meet the constraints; a start where nothing is better."""
-    return int(np.lexsort((given, -np.nan_to_num(exact, nan=-np.inf), over > CONSTRAINT_MET))[0])
+def _best_index(exact: np.ndarray, violations: np.ndarray, is_start: np.ndarray) -> int:
+    """The greatest exact score among those that meet the constraints; a start only where nothing is
+    better."""
+    return int(np.lexsort((is_start, -np.nan_to_num(exact, nan=-np.inf), violations > CONSTRAINT_MET))[0])
 
 
-def _searched(judge, z: np.ndarray, best: tuple, count: int, seed: int, together: int) -> tuple:
-    """Numbers, exact score and violation after judging `count` arms about z, `together` at a time.
+def _search_locally(evaluate, z: np.ndarray, best: tuple, count: int, seed: int, batch_size: int) -> tuple:
+    """Random local search: `count` arms about z are evaluated exactly, `batch_size` in a round.
 
-    Steps are normal in half of the logistic coordinates, longer after a round that found better, shorter
-    after one that did not; arms as good are gone on from too, for a score may be level. Where something is
-    near a bound, one arm of a round has it there.
+    A step is normal in a random half of the logistic coordinates. Its size grows after a round that improved
+    and shrinks after one that did not. The search moves to arms of equal score too, because a score may be
+    level. Where a number is near a bound, one arm of a round has it at the bound.
+
+    Args:
+        evaluate: Numbers, exact scores and violations of coordinates (batch_size, k).
+        z: (k,) coordinates of the best arm.
+        best: Its numbers (k,), exact score and violation.
+        count: Arms to evaluate, rounded up to whole rounds.
+        seed: Of the random steps.
+        batch_size: Arms of a round.
+
+    Returns:
+        Numbers, exact score and violation of the best arm found.
     """
-    rng, size = np.random.default_rng(seed), SEARCH
-    for _ in range(-(-count // together)):
-        some = rng.integers(0, 2, (together, len(z)))
-        beside = z + size * some * rng.normal(size=(together, len(z)))
-        near = (np.abs(z) > NEAR) & (np.abs(z) < AT)
+    rng, size = np.random.default_rng(seed), SEARCH_STEP
+    for _ in range(-(-count // batch_size)):
+        moving = rng.integers(0, 2, (batch_size, len(z)))
+        tried = z + size * moving * rng.normal(size=(batch_size, len(z)))
+        near = (np.abs(z) > NEAR_BOUND) & (np.abs(z) < AT_BOUND)
         if near.any():
-            beside[0] = np.where(near, AT * np.sign(z), z)
-        values, exact, over = (np.asarray(x) for x in judge(jnp.asarray(beside, best[0].dtype)))
-        i = _best(np.append(exact, best[1]), np.append(over, best[2]), np.arange(together + 1) == together)
-        better = i < together and (exact[i] != best[1] or over[i] <= CONSTRAINT_MET < best[2])
-        if i < together:
-            z, best = beside[i], (values[i], exact[i], over[i])
-        size *= LONGER if better else SHORTER
+            tried[0] = np.where(near, AT_BOUND * np.sign(z), z)
+        values, exact, violations = (np.asarray(x) for x in evaluate(jnp.asarray(tried, best[0].dtype)))
+        scores, over = np.append(exact, best[1]), np.append(violations, best[2])
+        i = _best_index(scores, over, np.arange(batch_size + 1) == batch_size)
+        moved = i < batch_size
+        better = moved and (exact[i] != best[1] or violations[i] <= CONSTRAINT_MET < best[2])
+        if moved:
+            z, best = tried[i], (values[i], exact[i], violations[i])
+        size *= STEP_GROWTH if better else STEP_SHRINKAGE
     return best
 
 
-def _check(starts: int, steps: int, blur, batch: int | None, local_search: int) -> None:
+def _check_options(starts: int, steps: int, blur, batch: int | None, local_search: int) -> None:
     if starts < 1 or min(steps, local_search) < 0:
         raise ValueError(
             "starts must be at least 1, steps and local_search not negative, "
@@ -269,12 +283,12 @@ def _check(starts: int, steps: int, blur, batch: int | None, local_search: int) 
         raise ValueError(f"blur must be two positive numbers, got {blur}")
 
 
-def _constraints(arm: Arm, given) -> tuple[list[str], tuple[Constraint, ...]]:
-    """Inequalities as text, and functions that return numbers."""
+def _split_constraints(arm: Arm, given) -> tuple[list[str], tuple[Constraint, ...]]:
+    """Constraints as inequalities in text, and as functions that return numbers."""
     if callable(given):
         raise ValueError("constraints must be a sequence of functions or inequalities, got a function")
-    every = [given] if isinstance(given, str) else list(given)
-    functions = tuple(each for each in every if not isinstance(each, str))
+    constraints = [given] if isinstance(given, str) else list(given)
+    functions = tuple(each for each in constraints if not isinstance(each, str))
     for each in functions:
         if not callable(each):
             raise ValueError(
@@ -286,11 +300,11 @@ def _constraints(arm: Arm, given) -> tuple[list[str], tuple[Constraint, ...]]:
                 "a constraint must return numbers that are at most zero where it is met, not whether it is: "
                 f"arm.a[1] - 0.5, not arm.a[1] <= 0.5; {getattr(each, '__name__', each)} returns {kind}"
             )
-    return [each for each in every if isinstance(each, str)], functions
+    return [each for each in constraints if isinstance(each, str)], functions
 
 
-def _poses(arm: Arm, goals: jax.Array) -> np.ndarray:
-    """Which rows along the first axis hold poses only."""
+def _rows_of_poses(arm: Arm, goals: jax.Array) -> np.ndarray:
+    """Which rows along the first axis are poses throughout, (rows,) bool."""
     rows = np.asarray(goals)
     good = np.ones(len(rows), bool)
     try:
@@ -305,5 +319,5 @@ def _poses(arm: Arm, goals: jax.Array) -> np.ndarray:
 
 
 @functools.cache
-def _usual(steps: int) -> optax.GradientTransformation:
+def _default_optimizer(steps: int) -> optax.GradientTransformation:
     return optax.adam(optax.cosine_decay_schedule(0.1, max(steps, 1)))

@@ -1,10 +1,10 @@
-"""What a design is worth: scores of an arm and its `Solutions`, smooth for climbing and exact for counting.
+"""Objectives of a design: scores of an arm and its `Solutions`, smooth for the ascent and exact at the end.
 
-An objective is called as objective(arm, sol, blur) and gives a score to be made as great as
-can be: one number, or an array of them, whose mean is taken. `sol` is that of the goals in the shape they
-were given; its margins and masks have the joint limits in them where those count. `blur` [m] is how far a
-margin has to be above zero to count nearly whole; a design study makes it smaller as it goes. A blur that
-is the Python number 0 asks for the exact score. Functions of your own may leave it aside.
+An objective is called as objective(arm, sol, blur) and returns a score to be maximized: one number, or an
+array, whose mean is taken. `sol` is the `Solutions` of the goals in the shape they were given; its margins
+and masks include the joint limits where those count. `blur` [m] is how far a margin must be above zero to
+count nearly in full; a design study reduces it from step to step. A blur that is the Python number 0 asks
+for the exact score. Your own functions may ignore it.
 """
 
 import jax
@@ -16,7 +16,7 @@ from ikjax.ik.quality import manipulability
 from ikjax.ik.results import Solutions
 
 SHARE_BLUR = 0.05
-"""How far above its threshold a share of orientations has to be to count nearly whole."""
+"""How far above its threshold a share of orientations must be to count nearly in full."""
 
 
 def coverage(arm: Arm, sol: Solutions, blur) -> jax.Array:
@@ -27,13 +27,13 @@ def coverage(arm: Arm, sol: Solutions, blur) -> jax.Array:
 
 
 def dexterous_share(arm: Arm, sol: Solutions, blur, *, share: float = 0.5) -> jax.Array:
-    """The share of positions where at least `share` of the orientations is reached; goals (P, O, 4, 4).
+    """The share of positions where at least `share` of the orientations are reached; goals (P, O, 4, 4).
 
     The dexterity of a position is the share of its orientations that are reached, as in a `ReachMap`. Over a
     grid, the share of positions times its volume is the dexterous volume.
 
     Raises:
-        ValueError: Goals that are no table of positions and orientations.
+        ValueError: Goals of another shape.
     """
     if sol.valid.ndim != 3:
         raise ValueError(
@@ -46,14 +46,14 @@ def dexterous_share(arm: Arm, sol: Solutions, blur, *, share: float = 0.5) -> ja
 
 
 def worst_margin(arm: Arm, sol: Solutions, blur) -> jax.Array:
-    """The margin [m] of the goal that is worst off, by its best branch."""
+    """The least margin [m] of all goals, each by its best branch."""
     return smooth_min(smooth_max(sol.margin, blur).reshape(-1), blur)
 
 
 def mean_manipulability(arm: Arm, sol: Solutions, blur) -> jax.Array:
-    """Yoshikawa's measure by the best branch that reaches, zero for goals out of reach.
+    """Yoshikawa's measure of the best branch that reaches, zero for goals out of reach.
 
-    A goal out of reach has no slope here: add margins where an arm has to find its goals first.
+    A goal out of reach has a zero gradient here: add margins where an arm has to reach its goals first.
     """
     return jnp.max(jnp.where(sol.valid, manipulability(arm, sol.q), 0), axis=-1)
 

@@ -1,8 +1,8 @@
-"""The numbers of an arm that a design study moves: their names, bounds and ties.
+"""The numbers of an arm that a design study varies: their names, bounds and ties.
 
-Each number lies between its bounds by a logistic, lower + width / (1 + exp(-z)), so that any
-optimizer may move any z. Ties, linear equations between numbers, are met by shifting z along the ties' own
-directions as far as it takes; bounds hold all the while. Base and tool move by a twist: a shift and a turn
+A logistic function keeps each number between its bounds, lower + width / (1 + exp(-z)), so that any
+optimizer may move any z. Ties are linear equations between numbers. They are met by shifting z along the
+rows of the equations, and the bounds hold as before. Base and tool move by a twist: a shift and a turn
 (rotation vector) about their own origin, in the axes of the world and of the last link.
 
 Source: the shift that meets the ties is the entropic projection onto them, found by Newton's method on its
@@ -26,77 +26,77 @@ from ikjax.core import safe
 from ikjax.core.linear import solve_symmetric
 
 TWIST = ("x", "y", "z", "rx", "ry", "rz")
-NEWTON = 40
-"""Steps towards the ties, each two at most in z."""
+NEWTON_STEPS = 40
+"""Newton steps towards the ties; each changes a dual variable by 2 at most."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Parameters:
-    """Hashable, so that it may be static under jit."""
+    """What varies, between which bounds and constraints; hashable, so that it may be static under jit."""
 
     names: tuple[str, ...]
     """"a2", "d4", "base.x", ..., "tool.rz"; shifts [m] and turns [rad] of base and tool count from zero."""
     lower: tuple[float, ...]
     upper: tuple[float, ...]
     ties: tuple[tuple[float, ...], ...] = ()
-    """A row for each tie: its factors, one for each name, and then what they sum up to."""
-    rules: tuple[tuple[float, ...], ...] = ()
-    """A row for each linear constraint: its factors, and then what they sum up to at most."""
+    """A row for each tie: its coefficients, one for each name, and then the right-hand side."""
+    inequalities: tuple[tuple[float, ...], ...] = ()
+    """A row for each linear constraint: its coefficients, and then the greatest value of their sum."""
 
     def values(self, z: jax.Array) -> jax.Array:
-        """The numbers (k,) of coordinates z (k,): within bounds, and tied."""
+        """The numbers (k,) of coordinates z (k,): within bounds, and on the ties."""
         lower = jnp.asarray(self.lower, z.dtype)
         width = jnp.asarray(self.upper, z.dtype) - lower
-        return lower + width * jax.nn.sigmoid(self._tied(z))
+        return lower + width * jax.nn.sigmoid(self._on_ties(z))
 
-    def over(self, values: jax.Array) -> jax.Array:
+    def violations(self, values: jax.Array) -> jax.Array:
         """How far each linear constraint is above zero at numbers (k,): (c,)."""
-        table = jnp.asarray(np.reshape(self.rules, (-1, len(self.names) + 1)), values.dtype)
+        table = jnp.asarray(np.reshape(self.inequalities, (-1, len(self.names) + 1)), values.dtype)
         return (table[:, :-1] * values[None]).sum(-1) - table[:, -1]
 
     def coordinates(self, values) -> np.ndarray:
-        """z of numbers (k,); those at a bound or beyond are taken a thousandth of the way inside."""
+        """z of numbers (k,); a number at a bound or beyond is moved inside, by a thousandth of the width."""
         lower, upper = np.array(self.lower), np.array(self.upper)
         share = np.clip((np.asarray(values, float) - lower) / (upper - lower), 1e-3, 1 - 1e-3)
         return np.log(share) - np.log1p(-share)
 
     def random(self, rng: np.random.Generator, count: int) -> np.ndarray:
-        """z of numbers spread evenly between the bounds, before they are tied: (count, k)."""
+        """z of numbers spread evenly between the bounds, not yet on the ties: (count, k)."""
         share = rng.uniform(0.02, 0.98, (count, len(self.names)))
         return np.log(share) - np.log1p(-share)
 
     def of(self, arm: Arm) -> np.ndarray:
-        """The numbers (k,) as they stand in an arm."""
+        """The numbers (k,) of an arm as it is."""
         return np.array([0.0 if "." in name else free_parameters.number(arm, name) for name in self.names])
 
     def put(self, arm: Arm, values: jax.Array) -> Arm:
         """The arm with the numbers (k,) in their places; they may be traced."""
-        leaves = self._table(arm, values)
+        leaves = self._columns(arm, values)
         for mount in ("base", "tool"):
-            if self._moves(mount):
+            if self._varies(mount):
                 leaves[mount] = self._mount(arm, mount, values)
         return dataclasses.replace(arm, **leaves)
 
-    def apart(self, arm: Arm, goals: jax.Array, values: jax.Array) -> tuple[Arm, jax.Array]:
+    def arm_and_goals(self, arm: Arm, goals: jax.Array, values: jax.Array) -> tuple[Arm, jax.Array]:
         """An arm and goals (..., 4, 4) whose joints are those of `put`'s arm for the goals as given.
 
-        Base and tool stand still and the goals move instead. The kernel then knows more of its arm while
-        it is compiled, and slopes arrive goal by goal: a fraction of the work.
+        Base and tool are fixed and the goals move instead. More of the arm is then constant while the kernel
+        is compiled, and derivatives are taken in the goals: a fraction of the work.
         """
-        leaves = self._table(arm, values)
-        if self._moves("base"):
-            back = product(_given(arm, "base", values), inverse(self._mount(arm, "base", values)))
-            goals = product(back, goals)
-        if self._moves("tool") and arm.task == "pose":
-            on = product(inverse(self._mount(arm, "tool", values)), _given(arm, "tool", values))
-            goals = product(goals, on)
-        elif self._moves("tool"):
+        leaves = self._columns(arm, values)
+        if self._varies("base"):
+            back = pose_product(_given(arm, "base", values), pose_inverse(self._mount(arm, "base", values)))
+            goals = pose_product(back, goals)
+        if self._varies("tool") and arm.task == "pose":
+            on = pose_product(pose_inverse(self._mount(arm, "tool", values)), _given(arm, "tool", values))
+            goals = pose_product(goals, on)
+        elif self._varies("tool"):
             # Where a goal's orientation is free, the tool cannot be made part of it.
             leaves["tool"] = self._mount(arm, "tool", values)
         return dataclasses.replace(arm, **leaves), goals
 
-    def _table(self, arm: Arm, values: jax.Array) -> dict[str, Any]:
-        """The columns in which something moves."""
+    def _columns(self, arm: Arm, values: jax.Array) -> dict[str, Any]:
+        """The columns of the DH table in which something varies."""
         leaves: dict[str, Any] = {}
         for column in COLUMNS:
             at = {name: i for i, name in enumerate(self.names) if name.rstrip("0123456789") == column}
@@ -106,16 +106,17 @@ class Parameters:
                 leaves[column] = leaf.at[rows].set(values[jnp.array(list(at.values()))])
         return leaves
 
-    def _moves(self, mount: str) -> bool:
+    def _varies(self, mount: str) -> bool:
         return any(name.startswith(f"{mount}.") for name in self.names)
 
     def _mount(self, arm: Arm, mount: str, values: jax.Array) -> jax.Array:
         names = [f"{mount}.{part}" for part in TWIST]
-        still = jnp.zeros_like(values[0])
-        twist = [values[self.names.index(name)] if name in self.names else still for name in names]
-        return moved(_given(arm, mount, values), twist)
+        zero = jnp.zeros_like(values[0])
+        twist = [values[self.names.index(name)] if name in self.names else zero for name in names]
+        return moved_by_twist(_given(arm, mount, values), twist)
 
-    def _tied(self, z: jax.Array) -> jax.Array:
+    def _on_ties(self, z: jax.Array) -> jax.Array:
+        """Coordinates shifted by the rows of the ties, so that the numbers meet them."""
         if not self.ties:
             return z
         table = np.array(self.ties)
@@ -125,36 +126,40 @@ class Parameters:
         rows, wanted = (jnp.asarray(x, z.dtype) for x in (rows / size[:, None], wanted / size))
         count, tiny = len(size), float(jnp.finfo(z.dtype).tiny) ** 0.5
 
-        def shifted(z, along):
-            return z + (rows * along[:, None]).sum(0)
+        def shifted(z, dual):
+            return z + (rows * dual[:, None]).sum(0)
 
-        def nearer(along, z):
-            share = jax.nn.sigmoid(shifted(z, along))
-            off = (rows * share[None]).sum(-1) - wanted
-            steep = jax.lax.stop_gradient(share * (1 - share))[None]
-            curve = [
-                [(rows[i : i + 1] * steep * rows[j : j + 1]).sum() for j in range(count)]
+        def newton_step(dual, z):
+            share = jax.nn.sigmoid(shifted(z, dual))
+            residual = (rows * share[None]).sum(-1) - wanted
+            derivative = jax.lax.stop_gradient(share * (1 - share))[None]
+            hessian = [
+                [(rows[i : i + 1] * derivative * rows[j : j + 1]).sum() for j in range(count)]
                 for i in range(count)
             ]
             for i in range(count):
-                curve[i][i] = curve[i][i] + tiny
-            step = solve_symmetric(curve, [off[i] for i in range(count)])
-            return along - jnp.clip(jnp.stack(step), -2, 2)
+                hessian[i][i] = hessian[i][i] + tiny
+            step = solve_symmetric(hessian, [residual[i] for i in range(count)])
+            return dual - jnp.clip(jnp.stack(step), -2, 2)
 
-        still = jax.lax.stop_gradient(z)
-        along = jax.lax.fori_loop(0, NEWTON, lambda _, along: nearer(along, still), jnp.zeros(count, z.dtype))
-        # One more step, which carries the slope: that of the equations, by the implicit function theorem.
-        return shifted(z, nearer(along, z))
+        fixed = jax.lax.stop_gradient(z)
+        dual = jax.lax.fori_loop(
+            0, NEWTON_STEPS, lambda _, dual: newton_step(dual, fixed), jnp.zeros(count, z.dtype)
+        )
+        # One more step carries the derivative: by the implicit function theorem it is that of the equations.
+        return shifted(z, newton_step(dual, z))
 
 
-def moved(mount: jax.Array, twist: Sequence[jax.Array]) -> jax.Array:
+def moved_by_twist(mount: jax.Array, twist: Sequence[jax.Array]) -> jax.Array:
     """A pose shifted, and turned about its own origin, in the axes that it is given in."""
     x, y, z = twist[3:]
     angle = safe.norm(x, y, z)
     half = angle / 2
     small = half < 1e-3
-    safely = jnp.where(small, 1, half)
-    share = jnp.where(small, 1 - (x * x + y * y + z * z) / 24, jnp.sin(safely) / safely) / 2
+    # Below a half angle of 1e-3 the series of sin(half) / half is used. The second `where` keeps the quotient
+    # finite there: reverse mode would multiply an infinite derivative by zero.
+    divisor = jnp.where(small, 1, half)
+    share = jnp.where(small, 1 - (x * x + y * y + z * z) / 24, jnp.sin(divisor) / divisor) / 2
     rotation = poses.from_quaternion((jnp.cos(half), share * x, share * y, share * z))
     turn = jnp.stack([jnp.stack(row) for row in rotation])
     spun = jnp.stack([sum(turn[i, k] * mount[k, :3] for k in range(3)) for i in range(3)])
@@ -165,34 +170,35 @@ def _given(arm: Arm, mount: str, like: jax.Array) -> jax.Array:
     return jnp.asarray(getattr(arm, mount), like.dtype)
 
 
-def product(first: jax.Array, second: jax.Array) -> jax.Array:
-    """Of poses (..., 4, 4), written out: a matrix product may be rounded coarsely on some devices."""
+def pose_product(first: jax.Array, second: jax.Array) -> jax.Array:
+    """Product of poses (..., 4, 4), written out: some devices round a matrix product coarsely."""
     return poses.to_matrix(poses.compose(poses.from_matrix(first), poses.from_matrix(second)))
 
 
-def inverse(pose: jax.Array) -> jax.Array:
+def pose_inverse(pose: jax.Array) -> jax.Array:
     return poses.to_matrix(poses.inverse(poses.from_matrix(pose)))
 
 
 PARTS = {"": TWIST, "xyz": TWIST[:3], "turn": TWIST[3:], **{part: (part,) for part in TWIST}}
 
 
-def chosen(arm: Arm, vary: Mapping, ties: Sequence[str] = (), rules: Sequence[str] = ()) -> Parameters:
-    """The numbers named in `vary`, with their bounds, and the ties and rules between them.
+def choose_parameters(
+    arm: Arm, vary: Mapping, ties: Sequence[str] = (), inequalities: Sequence[str] = ()
+) -> Parameters:
+    """The numbers named in `vary`, with their bounds, and the ties and inequalities between them.
 
     Args:
         arm: An arm with a family.
-        vary: From names to (lower, upper), or (lower, upper, mask), numbers or one for each entry. A
-            name is that of a number, "d4"; of a column, "a", which stands for all of it that is free, or
-            for what the mask says; or of a mount: "base", "base.xyz", "base.turn", "base.x" ... "base.rz",
-            and "tool" likewise, in metres and radians from where it is.
-        ties: Equations such as "a2 + 2 d4 = 1"; numbers of the table that do not vary stand for themselves.
-        rules: Inequalities such as "a2 + 2 d4 <= 1", likewise.
+        vary: From names to (lower, upper) or (lower, upper, mask), each one value or one for each entry. A
+            name is that of a number, "d4"; of a column, "a", which means all its free numbers, or those of
+            the mask; or of a mount: "base", "base.xyz", "base.turn", "base.x" ... "base.rz", and "tool"
+            likewise, in metres and radians from where it is.
+        ties: Equations such as "a2 + 2 d4 = 1"; numbers of the table that do not vary keep their value.
+        inequalities: Such as "a2 + 2 d4 <= 1", likewise.
 
     Raises:
-        ValueError: A name that is none, bounds that are none, a number that would leave the family
-            within its bounds, ties or rules that cannot be read, ties that cannot be met: the message says
-            what may vary.
+        ValueError: An unknown name, invalid bounds, a number that would leave the family within its bounds,
+            ties or inequalities that cannot be read, ties that cannot be met. The message says what may vary.
     """
     bounds: dict[str, tuple[float, float]] = {}
     for name, value in vary.items():
@@ -205,7 +211,7 @@ def chosen(arm: Arm, vary: Mapping, ties: Sequence[str] = (), rules: Sequence[st
                 )
             bounds[entry] = (low, high)
     if not bounds:
-        raise ValueError(f"vary must name what may move: {_offer(arm)}")
+        raise ValueError(f"vary must name what may move: {_what_may_vary(arm)}")
     _check_family(arm, bounds)
     lower, upper = zip(*bounds.values(), strict=True)
     names = tuple(bounds)
@@ -213,8 +219,8 @@ def chosen(arm: Arm, vary: Mapping, ties: Sequence[str] = (), rules: Sequence[st
         names,
         lower,
         upper,
-        tuple(_row(arm, names, text, _TIE) for text in ties),
-        tuple(_row(arm, names, text, _RULE) for text in rules),
+        tuple(_coefficients(arm, names, text, _TIE) for text in ties),
+        tuple(_coefficients(arm, names, text, _INEQUALITY) for text in inequalities),
     )
     _check_ties(made, ties)
     return made
@@ -231,7 +237,7 @@ def _entries(arm: Arm, name: str, value) -> list[tuple[str, float, float]]:
         try:
             free_parameters.number(arm, name)
         except ValueError as error:
-            raise ValueError(f"vary: {error}; {_offer(arm)}") from error
+            raise ValueError(f"vary: {error}; {_what_may_vary(arm)}") from error
         names = [name]
     try:
         low, high, *mask = value
@@ -244,63 +250,63 @@ def _entries(arm: Arm, name: str, value) -> list[tuple[str, float, float]]:
         ) from error
     if mask is None:
         mask = np.isin(names, arm.free) if name in COLUMNS else np.full(len(names), True)
-    return [row for row, kept in zip(zip(names, low, high, strict=True), mask, strict=True) if kept]
+    return [row for row, chosen in zip(zip(names, low, high, strict=True), mask, strict=True) if chosen]
 
 
-def _offer(arm: Arm) -> str:
+def _what_may_vary(arm: Arm) -> str:
     return f"free are {', '.join(arm.free)}, base and tool"
 
 
 def _check_family(arm: Arm, bounds: Mapping[str, tuple[float, float]]) -> None:
-    """Raise where a number, between its bounds, leaves the family; the others in the middle of theirs."""
-    table = {name: pair for name, pair in bounds.items() if "." not in name}
-    middle = {name: (low + high) / 2 for name, (low, high) in table.items()}
-    for name, (low, high) in table.items():
+    """Raise if a number between its bounds leaves the family, the others being in the middle of theirs."""
+    columns = {name: pair for name, pair in bounds.items() if "." not in name}
+    middle = {name: (low + high) / 2 for name, (low, high) in columns.items()}
+    for name, (low, high) in columns.items():
         for share in (0.02, 0.3, 0.7, 0.98):
             value = low + share * (high - low)
             why = free_parameters.why_not(arm, {**middle, name: value})
             if why is not None:
                 raise ValueError(
                     f"{name} = {value:.4g} takes {arm.name} out of the family {arm.family}: {why}. "
-                    f"As it stands, {_offer(arm)}"
+                    f"As it stands, {_what_may_vary(arm)}"
                 )
 
 
 class _Kind(NamedTuple):
-    """What a row of factors stands for, in words, and the signs that may stand in it."""
+    """A tie or an inequality: its name for messages, and the signs that it may have."""
 
     name: str
     must: str
     signs: Mapping[str, int]
-    """And whether the left side counts or, for -1, the right."""
+    """Each sign with 1 where left minus right is constrained, or -1 for right minus left."""
 
 
 _TIE = _Kind("tie", "an equation such as 'a2 + d4 = 1'", {"=": 1})
-_RULE = _Kind("constraint", "a function or an inequality such as 'a2 + d4 <= 1'", {"<=": 1, ">=": -1})
+_INEQUALITY = _Kind("constraint", "a function or an inequality such as 'a2 + d4 <= 1'", {"<=": 1, ">=": -1})
 
 
-def _row(arm: Arm, names: tuple[str, ...], text: str, kind: _Kind) -> tuple[float, ...]:
-    """Factors of the names, and what they sum up to, at most in an inequality."""
+def _coefficients(arm: Arm, names: tuple[str, ...], text: str, kind: _Kind) -> tuple[float, ...]:
+    """Coefficients of the names, and the right-hand side: a linear equation or inequality, read from text."""
     sides = re.split("(<=|>=|=)", text)
     if len(sides) != 3 or sides[1] not in kind.signs:
         raise ValueError(f"a {kind.name} must be {kind.must}, got {text!r}")
-    factors, total, way_round = np.zeros(len(names)), 0.0, kind.signs[sides[1]]
-    for sign, side in zip((way_round, -way_round), sides[::2], strict=True):
+    coefficients, total, direction = np.zeros(len(names)), 0.0, kind.signs[sides[1]]
+    for side_sign, side in zip((direction, -direction), sides[::2], strict=True):
         terms = re.findall(r"([+-]?)\s*([^+-]+)", side.strip())
         if not terms:
             raise ValueError(f"a {kind.name} must have something on both sides, got {text!r}")
-        for way, term in terms:
+        for sign, term in terms:
             factor, name = _term(term, text, kind)
-            factor *= sign * (-1 if way == "-" else 1)
+            factor *= side_sign * (-1 if sign == "-" else 1)
             if name in names:
-                factors[names.index(name)] += factor
+                coefficients[names.index(name)] += factor
             elif name is None or "." not in name:
                 total -= factor * (1.0 if name is None else free_parameters.number(arm, name))
             else:
                 raise ValueError(f"the {kind.name} {text!r} speaks of {name}, which does not vary")
-    if not factors.any():
+    if not coefficients.any():
         raise ValueError(f"the {kind.name} {text!r} speaks of nothing that varies: {', '.join(names)}")
-    return (*factors.tolist(), total)
+    return (*coefficients.tolist(), total)
 
 
 def _term(term: str, text: str, kind: _Kind) -> tuple[float, str | None]:
@@ -317,8 +323,8 @@ def _check_ties(made: Parameters, ties: Sequence[str]) -> None:
         return
     values = np.asarray(made.values(jnp.zeros(len(made.names))), float)
     for row, text in zip(np.array(made.ties), ties, strict=True):
-        gap = row[:-1] @ values - row[-1]
-        if not abs(gap) < 1e-5 * (1 + abs(row[-1])):
+        residual = row[:-1] @ values - row[-1]
+        if not abs(residual) < 1e-5 * (1 + abs(row[-1])):
             raise ValueError(
-                f"the tie {text!r} cannot be met within the bounds: it is off by {gap:.3g} at best"
+                f"the tie {text!r} cannot be met within the bounds: it is off by {residual:.3g} at best"
             )

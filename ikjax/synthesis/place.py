@@ -1,7 +1,7 @@
 """`place`: where an arm should stand for its goals.
 
-Candidates on a grid are counted, the best of them are polished by gradient, and what is
-returned is ranked by exact counts.
+The goals reached from candidates on a grid are counted, the best candidates are polished by gradient ascent,
+and the result is ranked by exact counts.
 """
 
 import dataclasses
@@ -20,45 +20,45 @@ from ikjax.maps.reach_map import ReachMap
 from ikjax.maps.sets.positions import Grid
 from ikjax.solvers.pipeline import as_solved
 from ikjax.synthesis import candidates
-from ikjax.synthesis.ascent import Hill, Known, nudged
+from ikjax.synthesis.ascent import ConstantArm, PlacementPlan, polish_placements
 from ikjax.synthesis.parameters import TWIST
-from ikjax.synthesis.search_space import Room, room
+from ikjax.synthesis.search_space import SearchSpace, search_space
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Placements:
-    """Places for the base of an arm, the best first, and how they were found.
+    """Poses for the base of an arm, the best first, and how they were found.
 
     `dataclasses.replace(arm, base=bases.base[0])` is the arm at the first of them.
     """
 
     arm: Arm
-    """The arm that was given, where it stood."""
+    """The given arm, where it stood."""
     goals: np.ndarray
-    """(..., 4, 4) as they were given."""
+    """(..., 4, 4) as given."""
     base: np.ndarray
     """(k, 4, 4) T_world_base, ranked and distinct."""
     score: np.ndarray
-    """(k,) what ranks them: the share of goals reached, and the worst margin as less than one goal."""
+    """(k,) which ranks them: the share of goals reached; the worst margin adds less than one goal."""
     share: np.ndarray
-    """(k,) of the goals that are reached, by `solve` and, where limits count, `within_limits`."""
+    """(k,) of the goals that are reached, by `solve` and, where limits count, by `within_limits`."""
     reached: np.ndarray
     """(k, ...) bool: which goals."""
     worst_margin: np.ndarray
-    """(k,) [m] of the goal that is worst off, by its best branch; negative where one is out of reach.
-    Where limits count it ends at them too, see `limited_margins`."""
+    """(k,) [m] the least margin of all goals, each by its best branch; negative where one is out of reach.
+    Where limits count, the margin includes them, see `limited_margins`."""
     start: np.ndarray
-    """(k, 4, 4) where on the grid each was before it was polished."""
+    """(k, 4, 4) each on the grid, before it was polished."""
     start_score: np.ndarray
-    """(k,) there."""
+    """(k,) score of `start`."""
     start_share: np.ndarray
-    """(k,) there."""
+    """(k,) share of `start`."""
     grid: Grid
     """Positions of the candidates."""
     turns: np.ndarray
-    """(t,) [rad] about z, from how the arm was given; zero alone where a turn changes nothing."""
+    """(t,) [rad] about z, from how the arm was given; only zero where a turn changes nothing."""
     tried: np.ndarray
-    """(*grid.shape, t) share of goals reached from every candidate: exact, or as the map has it."""
+    """(*grid.shape, t) share of goals reached from every candidate: exact, or looked up in the map."""
 
     def __len__(self) -> int:
         return len(self.base)
@@ -76,12 +76,12 @@ class Placements:
             number = int(self.reached[k].sum())
             before = round(self.start_share[k] * count)
             lines.append(
-                f"  {k + 1:2}  {self._place(k)}: {number:,} goals ({self.share[k]:.1%}), "
+                f"  {k + 1:2}  {self._in_words(k)}: {number:,} goals ({self.share[k]:.1%}), "
                 f"worst margin {1000 * self.worst_margin[k]:+.1f} mm; {before:,} before polishing"
             )
         return "\n".join(lines)
 
-    def _place(self, k: int) -> str:
+    def _in_words(self, k: int) -> str:
         base = np.asarray(self.base[k], float)
         x, y, z = base[:3, 3]
         turn = base[:3, :3] @ np.asarray(self.arm.base, float)[:3, :3].T
@@ -91,17 +91,17 @@ class Placements:
         return f"x {x:+.3f}, y {y:+.3f}, z {z:+.3f} m, turned {about:+.1f} deg{leaning}"
 
 
-TOGETHER = 4096
-"""Goals, over all starts, that are worked on at a time."""
+BATCH_SIZE = 4096
+"""Goals, over all starts, that are evaluated at a time."""
 
 BLUR = (0.05, 0.002)
-"""Of the margins that are climbed, at first and in the end, in reaches."""
+"""Of the margins in the smooth score, at first and at the end, in reaches."""
 
 RATE = 0.3
-"""Of a step at first, in distances between candidates; it falls to zero along a cosine."""
+"""First step of the ascent, in spacings of the candidates; it falls to zero along a cosine."""
 
-LESS = 0.49
-"""Goals that the worst margin counts for at most, either way."""
+MARGIN_WEIGHT = 0.49
+"""Goals that the worst margin counts for at most, either way: less than half, so that the count decides."""
 
 
 def place(
@@ -121,30 +121,31 @@ def place(
     """Where to put the base of an arm so that it reaches the most goals, with the most to spare.
 
     Args:
-        arm: An arm with a family; where it stands says how the base is turned and what does not move.
-        goals: T_world_tool, (..., 4, 4), float32 or float64. Polishing holds all of them in memory.
-        reach_map: A map of this arm over a grid, where candidates are looked up instead of solved:
+        arm: An arm with a family. Its base pose gives the orientation of the base and what does not move.
+        goals: T_world_tool, (..., 4, 4), float32 or float64. Polishing needs all of them in memory.
+        reach_map: A map of this arm over a grid, in which candidates are looked up instead of solved:
             orientation by orientation with the statistic `mask_within` (`mask` without limits), else by the
-            share of them. What is returned is judged by `solve` all the same.
+            share of orientations. The returned bases are still evaluated by `solve`.
         move: Which of "x", "y", "z", "turn" (about the world's z) and "tilt" (about its x and y) may change.
-            Candidates are not tilted, polishing does that.
+            Candidates are not tilted; only polishing tilts them.
         bounds: Of some of these: x, y and z in the world [m], turn and tilt from how the arm was given [rad].
-            It is turned first and then tilted, by a rotation vector whose x and y are bounded each.
-            By default x, y and z go as far as any goal can be reached from, turns go round and tilts are
-            up to a quarter turn.
-        spacing: Of candidates [m]; by default a sixteenth of the reach, or what makes 65,536 positions.
-        turns: Candidates for the turn. Where the first axis stands upright and its limits leave it a whole
-            turn, turning the base changes nothing, and one is tried.
-        keep: How many to return at most; no two of them are neighbors on the grid, or nearer.
+            The base is turned first and then tilted, by a rotation vector whose x and y are bounded each.
+            By default x, y and z go as far as any goal can be reached from, the turn is unbounded and tilts
+            are up to a quarter turn.
+        spacing: Of candidates [m]; by default a sixteenth of the reach, or more so that there are at most
+            65,536 positions.
+        turns: Number of candidates for the turn. Where the first axis is vertical and its limits allow a
+            whole turn, turning the base changes nothing, and only one is tried.
+        keep: Most bases to return; no two of them are neighbors on the grid, or nearer.
         limits: Whether the joint limits count.
-        starts: How many of the best candidates, distinct likewise, are judged exactly and polished.
-        steps: Of each; 0 leaves them on the grid. A base never gets worse by them.
+        starts: How many of the best candidates, distinct in the same way, are evaluated exactly and polished.
+        steps: Steps of each start; 0 leaves it on the grid. They never make a base worse.
 
     Returns:
-        `Placements`, the best first. Where none reaches anything it says so.
+        `Placements`, the best first. Their text says so if none reaches any goal.
 
     Raises:
-        ValueError: An arm of no family; no goals, or what is no pose, by name; an unknown move, bounds out of
+        ValueError: An arm of no family; no goals, or a goal that is no pose; an unknown move, bounds out of
             order, numbers out of range; a map of another arm or without the counts that are needed.
     """
     check_family(arm)
@@ -159,53 +160,53 @@ def place(
             raise ValueError(f"{name} must be a whole number, at least {least}, got {value!r}")
     arm = as_solved(arm.astype(given.dtype))
     size = float(reach(arm.baked()))
-    where = room(arm, flat[:, :3, 3].astype(float), size, move, bounds or {}, spacing, turns, limits)
-    points = where.grid.points().reshape(-1, 3)
+    space = search_space(arm, flat[:, :3, 3].astype(float), size, move, bounds or {}, spacing, turns, limits)
+    points = space.grid.points().reshape(-1, 3)
     if reach_map is None:
-        count, spare = candidates.solved(arm, flat, points, where.turns, limits)
+        count, spare = candidates.count_reached(arm, flat, points, space.turns, limits)
         tried = count / len(flat)
     else:
-        tried = candidates.looked_up(reach_map, arm, flat, points, where.turns, limits)
-        spare = candidates.amid(tried.reshape(*where.grid.shape, -1)).reshape(tried.shape)
+        tried = candidates.look_up_shares(reach_map, arm, flat, points, space.turns, limits)
+        spare = candidates.smoothed(tried.reshape(*space.grid.shape, -1)).reshape(tried.shape)
     order = np.lexsort((-spare.reshape(-1), -tried.reshape(-1)))
-    first = where.places()[order]
-    first = first[where.distinct(first, starts)]
-    found, count, worst = _polished(arm, flat, where, first, size, limits, steps)
+    first = space.candidates()[order]
+    first = first[space.distinct(first, starts)]
+    polished, count, worst = _polished(arm, flat, space, first, size, limits, steps)
     ranked = np.lexsort((-worst, -count))
-    ranked = ranked[where.distinct(found[ranked], keep)]
-    # What is returned is judged as it is returned: a place is rounded to a matrix, and polishing moved the
-    # goals in the place of the base.
+    ranked = ranked[space.distinct(polished[ranked], keep)]
+    # The returned matrices themselves are evaluated: they are rounded, and polishing moved the goals instead
+    # of the base.
     ends, begins = (
-        [_stand(arm, base, flat, limits) for base in where.bases(places[ranked]).astype(given.dtype)]
-        for places in (found, first)
+        [_evaluate_base(arm, base.astype(given.dtype), flat, limits) for base in space.base_poses(x[ranked])]
+        for x in (polished, first)
     )
-    pairs = [(max(pair, key=_Stand.rank), pair[1]) for pair in zip(ends, begins, strict=True)]
+    pairs = [(max(pair, key=_Evaluation.rank), pair[1]) for pair in zip(ends, begins, strict=True)]
     best, begun = zip(*sorted(pairs, key=lambda pair: pair[0].rank(), reverse=True), strict=True)
 
-    def score(stands: Sequence[_Stand]) -> np.ndarray:
-        margins = np.array([stand.worst for stand in stands])
-        counts = np.array([stand.reached.sum() for stand in stands])
-        return (counts + LESS * np.clip(margins / size, -1, 1)) / len(flat)
+    def score(evaluations: Sequence[_Evaluation]) -> np.ndarray:
+        margins = np.array([each.worst for each in evaluations])
+        counts = np.array([each.reached.sum() for each in evaluations])
+        return (counts + MARGIN_WEIGHT * np.clip(margins / size, -1, 1)) / len(flat)
 
     return Placements(
         arm=arm,
         goals=np.asarray(given),
-        base=np.stack([stand.base for stand in best]),
+        base=np.stack([each.base for each in best]),
         score=score(best),
-        share=np.array([stand.reached.mean() for stand in best]),
-        reached=np.stack([stand.reached.reshape(given.shape[:-2]) for stand in best]),
-        worst_margin=np.array([stand.worst for stand in best]),
-        start=np.stack([stand.base for stand in begun]),
+        share=np.array([each.reached.mean() for each in best]),
+        reached=np.stack([each.reached.reshape(given.shape[:-2]) for each in best]),
+        worst_margin=np.array([each.worst for each in best]),
+        start=np.stack([each.base for each in begun]),
         start_score=score(begun),
-        start_share=np.array([stand.reached.mean() for stand in begun]),
-        grid=where.grid,
-        turns=where.turns,
-        tried=tried.reshape(*where.grid.shape, -1),
+        start_share=np.array([each.reached.mean() for each in begun]),
+        grid=space.grid,
+        turns=space.turns,
+        tried=tried.reshape(*space.grid.shape, -1),
     )
 
 
-class _Stand(NamedTuple):
-    """A base, and what `solve` says of the arm there."""
+class _Evaluation(NamedTuple):
+    """A base pose, and what `solve` finds for the arm there."""
 
     base: np.ndarray
     """(4, 4)"""
@@ -218,32 +219,33 @@ class _Stand(NamedTuple):
         return int(self.reached.sum()), self.worst
 
 
-def _stand(arm: Arm, base: np.ndarray, goals: np.ndarray, limits: bool) -> _Stand:
-    there = dataclasses.replace(arm, base=base)
-    sol = solve(there, goals)
-    sol = limited_margins(there, sol) if limits else sol
-    return _Stand(base, np.asarray(sol.valid.any(-1)), float(sol.margin.max(-1).min()))
+def _evaluate_base(arm: Arm, base: np.ndarray, goals: np.ndarray, limits: bool) -> _Evaluation:
+    moved = dataclasses.replace(arm, base=base)
+    sol = solve(moved, goals)
+    sol = limited_margins(moved, sol) if limits else sol
+    return _Evaluation(base, np.asarray(sol.valid.any(-1)), float(sol.margin.max(-1).min()))
 
 
 def _polished(
-    arm: Arm, goals: np.ndarray, where: Room, first: np.ndarray, size: float, limits: bool, steps: int
+    arm: Arm, goals: np.ndarray, space: SearchSpace, first: np.ndarray, size: float, limits: bool, steps: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The best places that `first` come by, how many goals they reach, their worst margins."""
-    columns = [TWIST.index(name) for name in where.climbs]
-    home = np.concatenate([where.home[:3, 3], np.zeros(3)])
-    lower, upper = where.bounds()
-    hill = Hill(Known(arm), where.climbs, limits, max(1, TOGETHER // len(goals)))
+    """The best placements on the way from each of `first`, the goals they reach, their worst margins."""
+    columns = [TWIST.index(name) for name in space.free_coordinates]
+    home = np.concatenate([space.home[:3, 3], np.zeros(3)])
+    lower, upper = space.bounds()
+    start_batch_size = max(1, BATCH_SIZE // len(goals))
+    plan = PlacementPlan(ConstantArm(arm), space.free_coordinates, limits, start_batch_size)
     phase = np.linspace(0, np.pi, steps + 1)
     numbers = [
         (first - home)[:, columns],
         goals,
-        where.steps[columns],
+        space.spacings[columns],
         lower - home[columns],
         upper - home[columns],
         size * np.geomspace(*BLUR, steps + 1),
         RATE * (1 + np.cos(phase)) / 2,
     ]
-    best = nudged(hill, *(jnp.asarray(x, goals.dtype) for x in numbers))
-    found = first.copy()
-    found[:, columns] = np.asarray(best.values, float) + home[columns]
-    return found, np.asarray(best.count), np.asarray(best.worst)
+    best = polish_placements(plan, *(jnp.asarray(x, goals.dtype) for x in numbers))
+    polished = first.copy()
+    polished[:, columns] = np.asarray(best.values, float) + home[columns]
+    return polished, np.asarray(best.count), np.asarray(best.worst)

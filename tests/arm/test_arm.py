@@ -271,7 +271,7 @@ def test_many_arms_can_be_mapped_over(rng):
     np.testing.assert_allclose(together, np.stack([fk(arm, q) for arm in arms]), atol=1e-15)
 
 
-def test_every_number_of_an_arm_has_its_slope(rng):
+def test_every_number_of_an_arm_has_its_gradient(rng):
     arm = Arm.from_dh(
         a=[0.1, -0.4], alpha=[0.3, math.pi / 2], d=[0.3, 0.02], kinds="RP", convention="standard"
     )
@@ -283,10 +283,10 @@ def test_every_number_of_an_arm_has_its_slope(rng):
 
     moved = np.asarray(flat) + step * np.eye(flat.size) * np.array([1, -1])[:, None, None]
     above, below = jax.jit(jax.vmap(jax.vmap(height)))(moved)
-    slope = jax.jit(jax.grad(height))(flat)
-    np.testing.assert_allclose(slope, (above - below) / (2 * step), atol=1e-9)
-    slope = unravel(slope)
-    np.testing.assert_array_equal(slope.limits, 0)
+    gradient = jax.jit(jax.grad(height))(flat)
+    np.testing.assert_allclose(gradient, (above - below) / (2 * step), atol=1e-9)
+    gradient = unravel(gradient)
+    np.testing.assert_array_equal(gradient.limits, 0)
     for key in LEAVES[:-1]:
         # All of them matter, but for the bottom rows of the poses.
-        assert np.all(getattr(slope, key)[:3] != 0), key
+        assert np.all(getattr(gradient, key)[:3] != 0), key

@@ -4,7 +4,7 @@ import oracle
 import pytest
 
 import ikjax
-from ikjax.arm import forward
+from ikjax.arm import dh, forward
 from ikjax.arm.arm import Arm
 from ikjax.core import pose as poses
 
@@ -58,10 +58,10 @@ def test_every_link_stands_and_moves_as_sixty_digits_say(name, dtype, rng):
         np.testing.assert_allclose(links[i], [oracle.floats(T) for T in oracle.frames(arm, q[i])], **near)
         np.testing.assert_allclose(tools[i], oracle.floats(tool), **near)
         assert max(oracle.error(arm, q[i], tools[i])) < near["atol"]
-        for column, slope in zip(jacobians[i].T, oracle.slopes(arm, q[i]), strict=True):
-            spin = oracle.floats(slope[:3, :3] * tool[:3, :3].T)
+        for column, derivative in zip(jacobians[i].T, oracle.derivatives(arm, q[i]), strict=True):
+            spin = oracle.floats(derivative[:3, :3] * tool[:3, :3].T)
             turning = spin[2, 1], spin[0, 2], spin[1, 0]
-            np.testing.assert_allclose(column, [*oracle.floats(slope)[:3, 3], *turning], **near)
+            np.testing.assert_allclose(column, [*oracle.floats(derivative)[:3, 3], *turning], **near)
 
 
 def test_a_sliding_joint_does_not_turn_the_tool():
@@ -120,3 +120,11 @@ def test_links_can_be_put_on_and_taken_off_again(rng):
 
     for got, wanted in jax.jit(there_and_back)(frame, goal, np.sin(0.8), np.cos(0.8), 0.3):
         np.testing.assert_allclose(jax.tree.leaves(got), jax.tree.leaves(wanted), atol=1e-15)
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_a_table_in_numpy_places_the_links_where_the_kernels_do(name):
+    arm = ARMS[name]
+    columns = {key: np.asarray(getattr(arm, key), float) for key in ("a", "alpha", "d", "theta")}
+    kernels = everything(arm, np.zeros(arm.n))[1]
+    np.testing.assert_allclose(np.asarray(arm.base) @ dh.frames(columns), kernels, atol=1e-15)

@@ -173,8 +173,8 @@ def test_the_jacobian_is_that_of_the_arm_as_given():
     h = 1e-6
     for i in range(6):
         ahead, behind = (np.asarray(ikjax.fk(arm, q + s * h * np.eye(6)[i])) for s in (1, -1))
-        slope = (ahead - behind) / (2 * h)
-        np.testing.assert_allclose(ikjax.jacobian(arm, q)[:3, i], slope[:3, 3], atol=1e-8)
+        derivative = (ahead - behind) / (2 * h)
+        np.testing.assert_allclose(ikjax.jacobian(arm, q)[:3, i], derivative[:3, 3], atol=1e-8)
 
 
 FANUC = np.eye(6)

@@ -1,4 +1,5 @@
 import builtins
+import dataclasses
 import io
 import pathlib
 import re
@@ -7,9 +8,11 @@ import sys
 import time
 import warnings
 
+import jax
 import numpy as np
 import pytest
 
+import ikjax
 from ikjax.arm.urdf.reader import read_chain, rotation_of
 from ikjax.arm.urdf.xml import ArmFileError
 
@@ -666,3 +669,44 @@ def test_without_defusedxml_the_extra_is_named(monkeypatch):
         monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(ImportError, match=re.escape('pip install "ikjax[urdf]"')):
         read_chain(one())
+
+
+SWINGING = '<axis xyz="0 1 0"/><origin xyz="0.3 0 0"/>' + LIMIT
+
+
+def swinging(*names):
+    """An arm of parallel revolute joints by these names."""
+    links = [f"l{i}" for i in range(len(names) + 1)]
+    joints = [joint(name, *links[i : i + 2], inside=SWINGING) for i, name in enumerate(names)]
+    return robot(link(*links), *joints)
+
+
+def test_an_arm_keeps_the_joint_names_of_its_file():
+    arm = ikjax.Arm.from_urdf(swinging("shoulder_pan", "elbow", "wrist\u202e"))
+    assert arm.joint_names == ("shoulder_pan", "elbow", "wrist\\u202e")
+    assert "\n# Joints: shoulder_pan, elbow, wrist\\u202e\narm = " in str(arm)
+    exec(str(arm), {})
+    changed = dataclasses.replace(arm.astype("float32").baked(), a=arm.a)
+    again = jax.tree.unflatten(*jax.tree.flatten(changed)[::-1])
+    assert again.joint_names == arm.joint_names
+    assert ikjax.robots.planar_2r().joint_names is None
+
+
+def test_joint_names_part_no_programs():
+    first, second = (ikjax.Arm.from_urdf(swinging(*names)) for names in (("a", "b", "c"), ("d", "e", "f")))
+    assert first.split()[0] == second.split()[0]
+    assert ikjax.Arm.join(*first.split()).joint_names is None
+
+
+def test_of_joints_that_are_driven_together_the_leader_is_named():
+    follow = SWINGING + '<mimic joint="a" multiplier="-1"/>'
+    arm = ikjax.Arm.from_urdf(
+        robot(
+            link("l0", "l1", "l2", "l3", "l4"),
+            joint("a", "l0", "l1", inside=SWINGING),
+            joint("b", "l1", "l2", inside=follow),
+            joint("c", "l2", "l3", inside=SWINGING),
+            joint("end", "l3", "l4", "fixed", '<origin xyz="0.2 0 0"/>'),
+        )
+    )
+    assert arm.joint_names == ("a", "c") and arm.n == 2

@@ -1,4 +1,4 @@
-"""The command line: exit codes, JSON, tables and one-line complaints."""
+"""The command line: exit codes, JSON, tables and error messages of one line."""
 
 import json
 import os
@@ -332,7 +332,7 @@ def test_a_goal_may_be_a_rotation_vector_or_a_quaternion_with_its_scalar_last(ru
             assert row == pytest.approx(wanted)
 
 
-def test_verify_judges_arms_and_writes_a_table(capsys, tmp_path):
+def test_verify_checks_arms_and_writes_a_table(capsys, tmp_path):
     table = tmp_path / "table.md"
     assert cli.main(["verify", "planar_3r", "gx4_351s", "-n", "500", "--out", str(table)]) == 0
     rows = [line.split() for line in capsys.readouterr().out.splitlines()]
@@ -356,7 +356,7 @@ def test_verify_finds_a_wrong_answer(monkeypatch):
     assert report.wrong > 200 and report.success == 0
 
 
-def test_a_study_is_swept_gone_on_with_and_compared(run, study, tmp_path):
+def test_a_study_is_swept_continued_and_compared(run, study, tmp_path):
     words = ["sweep", study(0.03), "--out", tmp_path / "map.zarr"]
     code, _, err = run(*words, "--max-hours", 1e-9)
     assert code == 4 and "stopped: 1e-09 hours are over; " in err and "map.zarr holds 1 of 8 units" in err
@@ -371,8 +371,8 @@ def test_a_study_is_swept_gone_on_with_and_compared(run, study, tmp_path):
     assert code == 2 and "holds a finished map; go on with resume=True (--resume), or replace it" in err
     code, out, _ = run(*words, "--force", "--compare", tmp_path / "map.zarr")
     assert code == 0 and "positions that differ      0" in out
-    diary = (tmp_path / "map.zarr.log").read_text()
-    assert "1 of 8 units kept, 7 missing, 0 damaged" in diary and "SweepStoppedError" in diary
+    log = (tmp_path / "map.zarr.log").read_text()
+    assert "1 of 8 units kept, 7 missing, 0 damaged" in log and "SweepStoppedError" in log
     study(0.06)
     code, _, err = run(*words, "--resume")
     assert code == 2 and "positions.spacing: 0.03 there, 0.06 here" in err
@@ -385,7 +385,7 @@ def test_a_map_that_cannot_be_written_exits_with_3(run, study, tmp_path):
 
 
 @pytest.mark.parametrize("name, code", [("SIGINT", 130), ("SIGTERM", 143)])
-def test_a_signal_stops_a_sweep_that_can_be_gone_on_with(run, study, tmp_path, name, code):
+def test_a_signal_stops_a_sweep_that_can_be_continued(run, study, tmp_path, name, code):
     words = ["sweep", str(study(0.004)), "--out", str(tmp_path / "map.zarr")]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     command = [sys.executable, "-m", "ikjax.cli", *words]

@@ -1,4 +1,4 @@
-"""A study's file says what is meant, or is refused by key."""
+"""A study file is understood, or refused with the name of the key."""
 
 import numpy as np
 import pytest

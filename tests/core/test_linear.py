@@ -18,12 +18,12 @@ def test_it_solves_what_numpy_solves(n, dtype, rng):
     matrix = root @ np.swapaxes(root, 1, 2) + 0.5 * np.eye(n)
     right = rng.normal(size=(50, n))
     wanted = np.linalg.solve(matrix, right[..., None])[..., 0]
-    found = jax.jit(_solve)(jnp.asarray(matrix, dtype), jnp.asarray(right, dtype))
-    assert found.dtype == dtype
-    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-11 if dtype == np.float64 else 1e-3)
+    computed = jax.jit(_solve)(jnp.asarray(matrix, dtype), jnp.asarray(right, dtype))
+    assert computed.dtype == dtype
+    np.testing.assert_allclose(computed, wanted, rtol=0, atol=1e-11 if dtype == np.float64 else 1e-3)
 
 
-def test_a_matrix_of_zeros_gives_zeros_with_a_finite_slope(dtype):
+def test_a_matrix_of_zeros_gives_zeros_with_a_finite_derivative(dtype):
     zeros, ones = jnp.zeros((3, 3), dtype), jnp.ones(3, dtype)
     assert (np.asarray(_solve(zeros, ones)) == 0).all()
     assert np.isfinite(jax.grad(lambda m: _solve(m, ones).sum())(zeros)).all()

@@ -110,10 +110,10 @@ def test_under_jit_what_is_far_from_a_rotation_is_left_alone_with_finite_gradien
         return ikjax.pose(matrix=matrix, orthonormalize=True)[..., :3, :3]
 
     bad = np.stack([1e30 * np.ones((3, 3)), np.zeros((3, 3)), np.eye(3) * 1.001]).astype(dtype)
-    got, slopes = jax.jit(lambda m: (turned(m), jax.vmap(jax.jacrev(turned))(m)))(bad)
+    got, derivatives = jax.jit(lambda m: (turned(m), jax.vmap(jax.jacrev(turned))(m)))(bad)
     np.testing.assert_array_equal(got[:2], bad[:2])
     np.testing.assert_allclose(got[2], np.eye(3), atol=4 * np.finfo(dtype).eps)
-    assert np.isfinite(slopes).all()
+    assert np.isfinite(derivatives).all()
 
 
 @pytest.mark.parametrize("form", ["rpy", "rotvec"])
@@ -229,7 +229,7 @@ def test_the_error_is_right_to_rounding_at_both_ends(rng):
         np.testing.assert_allclose(distance, 5e-9, atol=1e-15)
 
 
-def test_the_error_has_finite_slopes_everywhere():
+def test_the_error_has_finite_derivatives_everywhere():
     def error(turned, moved):
         zero = jnp.zeros_like(turned)
         pose = ikjax.pose(jnp.stack([moved, zero, zero]), rpy=jnp.stack([turned, zero, zero]))
@@ -237,8 +237,8 @@ def test_the_error_has_finite_slopes_everywhere():
 
     turned = np.array([0, 1e-12, 1, math.pi - 1e-12, math.pi])
     moved = np.array([0, 1e-12, 1, 1e3, 0])
-    slopes = jax.jit(jax.vmap(jax.jacrev(error, (0, 1))))(turned, moved)
-    (nothing, by_distance), (by_angle, nothing_either) = slopes
+    derivatives = jax.jit(jax.vmap(jax.jacrev(error, (0, 1))))(turned, moved)
+    (nothing, by_distance), (by_angle, nothing_either) = derivatives
     np.testing.assert_array_equal([nothing, nothing_either], 0)
     np.testing.assert_allclose(by_distance, [0, 1, 1, 1, 0], atol=1e-12)
     np.testing.assert_allclose(by_angle[:4], [0, 1, 1, 1], atol=1e-12)

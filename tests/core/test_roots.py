@@ -28,8 +28,10 @@ def test_each_side_has_its_own_root(side, dtype, rng):
 def test_half_a_turn_is_no_special_angle(dtype):
     # a + c = 0: one root is pi, where the tangent of half the angle is infinite.
     a, b = dtype(1), dtype(0.5)
-    found = [solve(a, b, -a, dtype(side)) for side in (1, -1)]
-    np.testing.assert_allclose([[root.sin, root.cos] for root in found], [[-0.8, -0.6], [0, -1]], atol=1e-6)
+    computed = [solve(a, b, -a, dtype(side)) for side in (1, -1)]
+    np.testing.assert_allclose(
+        [[root.sin, root.cos] for root in computed], [[-0.8, -0.6], [0, -1]], atol=1e-6
+    )
 
 
 def test_where_there_is_no_root_the_nearest_angle_is_given(dtype):
@@ -63,7 +65,7 @@ EDGES = {
 }
 
 
-def test_slopes_are_finite_at_every_edge(dtype):
+def test_derivatives_are_finite_at_every_edge(dtype):
     def numbers(abc, side):
         return jnp.stack(roots.cosine_sine(*abc, side)[:4])
 
@@ -81,9 +83,9 @@ def test_the_root_moves_as_the_equation_says(rng):
         root = roots.cosine_sine(*abc, -1.0)
         return (root.sin, root.margin), root
 
-    (slopes, clearance), root = jax.jit(jax.jacrev(numbers, has_aux=True))(np.array([0.8, -0.5, 0.3]))
+    (derivatives, clearance), root = jax.jit(jax.jacrev(numbers, has_aux=True))(np.array([0.8, -0.5, 0.3]))
     wanted = np.array([-root.cos, -root.sin, 1]) / root.height * root.cos
-    np.testing.assert_allclose(slopes, wanted, rtol=1e-12)
+    np.testing.assert_allclose(derivatives, wanted, rtol=1e-12)
     np.testing.assert_allclose(clearance, [0.8 / np.hypot(0.8, 0.5), -0.5 / np.hypot(0.8, 0.5), -1])
 
 
@@ -104,8 +106,8 @@ quartic = jax.jit(roots.circle_quartic)
 
 def _found(polynomials: np.ndarray, dtype):
     """Angles (n, 4) in slot order, and whether each is a root."""
-    found = quartic(tuple(jnp.asarray(column, dtype) for column in polynomials.T))
-    every = (*found.rising, *found.falling)
+    computed = quartic(tuple(jnp.asarray(column, dtype) for column in polynomials.T))
+    every = (*computed.rising, *computed.falling)
     angles = [np.arctan2(np.asarray(r.sin, float), np.asarray(r.cos, float)) for r in every]
     return np.stack(angles, -1), np.stack([np.asarray(r.real) for r in every], -1)
 
@@ -166,9 +168,9 @@ class TestCircleQuartic:
         polynomials = _harmonics_of(_four("any", np.random.default_rng(5)))
         angles, _ = _found(polynomials, dtype)
         u, v, x, y, _ = polynomials.T[:, :, None]
-        slope = v * np.cos(2 * angles) - u * np.sin(2 * angles) + y * np.cos(angles) - x * np.sin(angles)
-        clear = np.abs(slope) > 1e-3
-        assert (slope[:, :2][clear[:, :2]] > 0).all() and (slope[:, 2:][clear[:, 2:]] < 0).all()
+        derivative = v * np.cos(2 * angles) - u * np.sin(2 * angles) + y * np.cos(angles) - x * np.sin(angles)
+        clear = np.abs(derivative) > 1e-3
+        assert (derivative[:, :2][clear[:, :2]] > 0).all() and (derivative[:, 2:][clear[:, 2:]] < 0).all()
         assert (angles[:, 0] <= angles[:, 1]).all() and (angles[:, 2] <= angles[:, 3]).all()
 
     def test_a_double_root_is_kept_as_two(self, dtype):
@@ -201,10 +203,10 @@ class TestCircleQuartic:
     @pytest.mark.parametrize(
         "polynomial", [(0, 0, 0, 0, 0), (0, 0, 0, 0, 1), (0, 0, 1, 0, -2), (1, 0, 0, 0, 1)]
     )
-    def test_value_and_slope_are_finite_where_there_is_nothing_to_find(self, polynomial, dtype):
+    def test_value_and_derivative_are_finite_where_there_is_nothing_to_find(self, polynomial, dtype):
         def total(p):
-            found = roots.circle_quartic(tuple(p))
-            return sum(r.sin + 2 * r.cos for r in (*found.rising, *found.falling))
+            computed = roots.circle_quartic(tuple(p))
+            return sum(r.sin + 2 * r.cos for r in (*computed.rising, *computed.falling))
 
         p = jnp.asarray(polynomial, dtype)
         assert np.isfinite(total(p)) and np.isfinite(jax.grad(total)(p)).all()

@@ -1,4 +1,4 @@
-"""Singular values against LAPACK's, and their slopes where values are zero or repeated."""
+"""Singular values against LAPACK's, and their derivatives where values are zero or repeated."""
 
 import jax
 import jax.numpy as jnp
@@ -20,11 +20,11 @@ def values(matrices):
 
 
 @jax.jit
-def slopes(matrices, rates):
+def derivatives(matrices, rates):
     def product(matrices):
-        found = singular_values(columns(matrices))
-        total = found[0]
-        for value in found[1:]:
+        computed = singular_values(columns(matrices))
+        total = computed[0]
+        for value in computed[1:]:
             total = total * value
         return total
 
@@ -49,10 +49,10 @@ def test_values_are_those_of_lapack(shape, dtype, rng):
 
 
 @pytest.mark.parametrize("shape", [(6, 6), (3, 3)])
-def test_the_slope_of_the_product_is_that_of_the_determinant(shape, costly_dtype, rng):
+def test_the_derivative_of_the_product_is_that_of_the_determinant(shape, costly_dtype, rng):
     given = matrices(shape, rng).astype(costly_dtype)
     rates = rng.normal(size=(402, *shape)).astype(costly_dtype)
-    forward, reverse = map(np.asarray, slopes(jnp.asarray(given), jnp.asarray(rates)))
+    forward, reverse = map(np.asarray, derivatives(jnp.asarray(given), jnp.asarray(rates)))
     assert np.isfinite(forward).all() and np.isfinite(reverse).all()
     exact = given.astype(np.float64)
     sign = np.sign(np.linalg.det(exact))
@@ -76,14 +76,14 @@ def _cofactors(m):
     )
 
 
-def test_a_least_value_has_the_slope_of_its_vectors(rng):
+def test_a_least_value_has_the_derivative_of_its_vectors(rng):
     given, rates = rng.normal(size=(50, 6, 6)), rng.normal(size=(50, 6, 6))
     least = lambda m: values_least(m)  # noqa: E731
-    slope = jax.jvp(least, (jnp.asarray(given),), (jnp.asarray(rates),))[1]
+    derivative = jax.jvp(least, (jnp.asarray(given),), (jnp.asarray(rates),))[1]
     step = 1e-6
     ahead, behind = (np.linalg.svd(given + s * rates, compute_uv=False)[:, -1] for s in (step, -step))
     apart = np.linalg.svd(given, compute_uv=False)[:, -1] > 1e-2
-    np.testing.assert_allclose(slope[apart], ((ahead - behind) / (2 * step))[apart], atol=1e-6)
+    np.testing.assert_allclose(derivative[apart], ((ahead - behind) / (2 * step))[apart], atol=1e-6)
 
 
 @jax.jit
@@ -92,7 +92,7 @@ def values_least(matrices):
 
 
 @pytest.mark.slow
-def test_slopes_of_slopes_are_finite_and_those_of_differences(rng):
+def test_second_derivatives_are_finite_and_those_of_differences(rng):
     def measures(m):
         values = jnp.stack(singular_values(columns(m)))
         return jnp.stack([values.min(), values.min() / values.max(), values.prod()])

@@ -106,31 +106,31 @@ def test_wrapping_leaves_alone_what_is_wrapped(dtype, rng):
     np.testing.assert_array_equal(wrap(np.array([1e30, -1e30], dtype)) <= pi, True)
 
 
-def test_wrapping_has_slope_one(dtype):
+def test_wrapping_has_derivative_one(dtype):
     x = np.array([-math.pi, math.pi, 0.0, 3 * math.pi, -100.0, 1e5], dtype)
     np.testing.assert_array_equal(jax.vmap(jax.grad(trig.wrap))(x), 1)
 
 
-def test_slopes_of_sine_and_cosine_are_cosine_and_minus_sine(dtype, rng):
+def test_derivatives_of_sine_and_cosine_are_cosine_and_minus_sine(dtype, rng):
     x = angles(dtype, rng)
     sine, cosine = sincos(x)
     _, forward = jax.jit(lambda x: jax.jvp(trig.sincos, (x,), (jnp.ones_like(x),)))(x)
     backward = jax.jit(jax.vmap(jax.jacrev(trig.sincos)))(x)
-    for slopes in (forward, backward):
-        np.testing.assert_array_equal(slopes[0], cosine)
-        np.testing.assert_array_equal(slopes[1], -sine)
+    for derivatives in (forward, backward):
+        np.testing.assert_array_equal(derivatives[0], cosine)
+        np.testing.assert_array_equal(derivatives[1], -sine)
 
 
-def test_slopes_of_atan2_are_those_of_the_angle(dtype, rng):
+def test_derivatives_of_atan2_are_those_of_the_angle(dtype, rng):
     y, x = points(dtype, rng)
     size = np.hypot(y.astype(float), x)
     for transform in (jax.jacfwd, jax.jacrev):
-        slopes = jax.jit(jax.vmap(transform(trig.atan2, (0, 1))))(y, x)
-        got = np.asarray(slopes, float) * size
+        derivatives = jax.jit(jax.vmap(transform(trig.atan2, (0, 1))))(y, x)
+        got = np.asarray(derivatives, float) * size
         np.testing.assert_allclose(got, [x / size, -y / size], atol=8 * np.finfo(dtype).eps, rtol=0)
 
 
-def test_second_slopes_are_exact_too(dtype):
+def test_second_derivatives_are_exact_too(dtype):
     def second(f, *args):
         return jax.jit(jax.vmap(jax.hessian(f, tuple(range(len(args))))))(*args)
 
@@ -143,19 +143,19 @@ def test_second_slopes_are_exact_too(dtype):
     np.testing.assert_allclose(second(trig.atan2, y, x), wanted, **near)
 
 
-def test_atan2_has_slope_zero_at_the_origin(dtype):
+def test_atan2_has_derivative_zero_at_the_origin(dtype):
     y, x = np.array(list(itertools.product([0.0, -0.0], repeat=2)), dtype).T
     first, second = jax.grad(trig.atan2, (0, 1)), jax.hessian(trig.atan2, (0, 1))
     np.testing.assert_array_equal(jax.jit(jax.vmap(first))(y, x), 0)
     assert np.isfinite(jax.jit(jax.vmap(second))(y, x)).all()
 
 
-def test_atan2_has_finite_slopes_beside_the_origin_and_far_out(dtype):
+def test_atan2_has_finite_derivatives_beside_the_origin_and_far_out(dtype):
     info = np.finfo(dtype)
     sizes = [info.smallest_subnormal, info.tiny / 8, info.tiny, info.max, np.inf]
     y, x = np.array(list(itertools.product([0.0, *sizes], sizes)), dtype).T
-    slopes = jax.jit(jax.vmap(jax.grad(trig.atan2, (0, 1))))(y, x)
-    assert np.isfinite(slopes).all()
+    derivatives = jax.jit(jax.vmap(jax.grad(trig.atan2, (0, 1))))(y, x)
+    assert np.isfinite(derivatives).all()
 
 
 def test_angles_half_a_turn_apart_share_one_atan2():
@@ -176,5 +176,7 @@ def test_whole_turns_are_added_to_two_roundings(dtype, rng):
     off = [abs(float(mp.mpf(float(g)) - w)) / max(1, abs(float(w))) for g, w in zip(got, exact, strict=True)]
     assert max(off) < 1.5 * np.finfo(dtype).eps
     np.testing.assert_array_equal(got[turns == 0], x[turns == 0])
-    slope = jax.vmap(jax.grad(lambda x, k: trig.with_turns(x, k)))(jnp.asarray(x), jnp.asarray(turns, dtype))
-    np.testing.assert_array_equal(slope, 1)
+    derivative = jax.vmap(jax.grad(lambda x, k: trig.with_turns(x, k)))(
+        jnp.asarray(x), jnp.asarray(turns, dtype)
+    )
+    np.testing.assert_array_equal(derivative, 1)

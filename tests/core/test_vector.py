@@ -95,10 +95,10 @@ def test_the_orthonormality_error_is_the_frobenius_norm(rng):
 
 
 @pytest.mark.parametrize("matrix", [np.zeros((3, 3)), np.ones((3, 3)), np.diag([1.0, 0, 0])])
-def test_no_rotation_at_all_still_gives_finite_numbers_and_slopes(matrix, dtype):
+def test_no_rotation_at_all_still_gives_finite_numbers_and_derivatives(matrix, dtype):
     def flat(m):
         rows = tuple(tuple(m[i, j] for j in range(3)) for i in range(3))
         return jnp.stack(jax.tree.leaves((vector.orthonormal(rows), vector.orthonormality_error(rows))))
 
-    value, slope = jax.jit(lambda m: (flat(m), jax.jacrev(flat)(m)))(matrix.astype(dtype))
-    assert np.isfinite(value).all() and np.isfinite(slope).all()
+    value, derivative = jax.jit(lambda m: (flat(m), jax.jacrev(flat)(m)))(matrix.astype(dtype))
+    assert np.isfinite(value).all() and np.isfinite(derivative).all()

@@ -308,7 +308,7 @@ class TestNoPose:
         inside = ikjax.limited_margins(ARM, sol)
         assert (np.asarray(inside.margin)[lost] < 0).all()
 
-    def test_its_slopes_are_zero(self):
+    def test_its_gradients_are_zero(self):
         goals = jnp.asarray(np.stack([goal(), MASKED["rotation off by 1e-4"], MASKED["reflection"]]))
 
         def total(arm, goals):

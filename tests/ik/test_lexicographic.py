@@ -93,7 +93,7 @@ def test_a_point_out_of_reach_is_approached_as_near_as_it_can_be():
         ]
         least = min(map(np.linalg.norm, gaps))
         assert least > 0.05
-        # The point is off the last axis: at full stretch two rolls are alike to 2e-5 m, each a bottom.
+        # The point is off the last axis: at full stretch two rolls are alike to 2e-5 m, each a minimum.
         assert abs(near.position_error[k] - least) < 1e-4
 
 
@@ -131,7 +131,7 @@ def test_it_means_what_the_closed_form_means():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("priority", ["position", "orientation"])
-def test_slopes_are_those_of_differences(priority):
+def test_derivatives_are_those_of_differences(priority):
     goals = jnp.asarray(wild(ARM, 6, 0.6 * LOW, 0.6 * HIGH, seed=3)[:6])
 
     @jax.jit
@@ -140,9 +140,9 @@ def test_slopes_are_those_of_differences(priority):
         near = ikjax.refine(ARM, moved, jnp.zeros(5), priority=priority)
         return near.q, near.converged
 
-    _, slope = jax.jvp(lambda t: answer(t)[0], (0.0,), (1.0,))
+    _, derivative = jax.jvp(lambda t: answer(t)[0], (0.0,), (1.0,))
     h = 1e-4
     rough = (answer(h)[0] - answer(-h)[0]) / (2 * h)
     down = np.array(answer(0.0)[1] & answer(h)[1] & answer(-h)[1])
     assert down.sum() >= 3
-    np.testing.assert_allclose(slope[down], rough[down], atol=2e-3 * (1 + np.abs(rough[down]).max()))
+    np.testing.assert_allclose(derivative[down], rough[down], atol=2e-3 * (1 + np.abs(rough[down]).max()))

@@ -21,19 +21,21 @@ def test_a_smooth_maximum_lies_between_the_maximum_and_its_bound(dtype, rng):
     np.testing.assert_array_equal(ikjax.smooth_min(x, jnp.zeros((), dtype), axis=0), x.min(0))
 
 
-def test_equal_entries_share_the_slope_and_far_ones_do_not_overflow(dtype):
+def test_equal_entries_share_the_gradient_and_far_ones_do_not_overflow(dtype):
     x = jnp.asarray([1e4, 1e4, -1e4, 3.0], dtype)
-    slope = jax.grad(lambda x: ikjax.smooth_max(x, 1e-3))(x)
-    np.testing.assert_allclose(slope, [0.5, 0.5, 0, 0], atol=1e-6)
+    gradient = jax.grad(lambda x: ikjax.smooth_max(x, 1e-3))(x)
+    np.testing.assert_allclose(gradient, [0.5, 0.5, 0, 0], atol=1e-6)
 
 
 @pytest.mark.parametrize("blur", [0.0, 0.1])
 def test_what_is_not_finite_or_masked_counts_for_nothing(blur, dtype):
     x = jnp.asarray([[1.0, np.nan, 2.0, np.inf], [np.nan, np.nan, -np.inf, np.nan]], dtype)
     where = jnp.asarray([[True, True, False, True], [True] * 4])
-    value, slope = jax.value_and_grad(lambda x: ikjax.smooth_max(x, blur, where=where, empty=-7.0).sum())(x)
+    value, gradient = jax.value_and_grad(lambda x: ikjax.smooth_max(x, blur, where=where, empty=-7.0).sum())(
+        x
+    )
     np.testing.assert_allclose(value, 1 - 7)
-    np.testing.assert_array_equal(slope, [[1, 0, 0, 0], [0, 0, 0, 0]])
+    np.testing.assert_array_equal(gradient, [[1, 0, 0, 0], [0, 0, 0, 0]])
 
 
 def limited(dtype):
@@ -61,29 +63,29 @@ def test_a_margin_with_limits_is_positive_just_where_a_goal_is_reached_within_th
     assert (each <= free).all() and 0.05 < (best > 0).mean() < 0.5
 
 
-def test_margins_with_limits_climb_from_outside_and_are_finite_beside_nan(costly_dtype, rng):
+def test_margins_with_limits_lead_in_from_outside_and_are_finite_beside_nan(costly_dtype, rng):
     arm, where = limited(costly_dtype), goals(rng, costly_dtype)
     where = where.at[3].set(jnp.nan)
 
     @jax.jit
     @jax.grad
-    def slope(shift, a):
+    def gradient(shift, a):
         moved = where.at[..., :2, 3].add(shift)
         other = dataclasses.replace(arm, a=a)
         return ikjax.best_margin(other, ikjax.solve(other, moved)).sum()
 
-    slopes = np.asarray(slope(jnp.zeros((400, 2), costly_dtype), arm.a))
+    gradients = np.asarray(gradient(jnp.zeros((400, 2), costly_dtype), arm.a))
     best = np.asarray(margins(arm, where)[0])
-    assert np.isfinite(best).all() and np.isfinite(slopes).all()
+    assert np.isfinite(best).all() and np.isfinite(gradients).all()
     # Further out than both links: straight back is the way, whatever the limits.
     point = np.asarray(where[:, :2, 3])
     out = np.linalg.norm(point, axis=-1) > 1.0
     back = -point[out] / np.linalg.norm(point[out], axis=-1, keepdims=True)
-    np.testing.assert_allclose(slopes[out], back, atol=1e-5)
+    np.testing.assert_allclose(gradients[out], back, atol=1e-5)
 
 
 @pytest.mark.parametrize("name", ["planar_2r", pytest.param("puma560", marks=pytest.mark.slow)])
-def test_margins_with_limits_have_the_slope_of_differences_inside_and_outside(name, rng):
+def test_margins_with_limits_have_the_derivative_of_differences_inside_and_outside(name, rng):
     arm = limited(np.float64) if name == "planar_2r" else ikjax.robots.get(name)
     here = rng.uniform(-1.3, 1.3, (200, 3))
     turns = np.asarray(ikjax.maps.even_rotations(200), np.float64)
@@ -102,9 +104,11 @@ def test_margins_with_limits_have_the_slope_of_differences_inside_and_outside(na
 
     step = 1e-6
     behind, now, ahead = (np.asarray(both(jnp.asarray(t))[0]) for t in (-step, 0.0, step))
-    _, slope, valid = map(np.asarray, both(jnp.asarray(0.0)))
+    _, derivative, valid = map(np.asarray, both(jnp.asarray(0.0)))
     # A corner bends as much as the step is long, a curve as its square.
     smooth = np.abs(ahead - 2 * now + behind) < 1e-3 * step
     assert smooth.mean() > 0.98
     assert (valid & (now < 0)).mean() > 0.05 and (~valid & (now < 0)).mean() > 0.2
-    np.testing.assert_allclose(slope[smooth], ((ahead - behind) / (2 * step))[smooth], rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(
+        derivative[smooth], ((ahead - behind) / (2 * step))[smooth], rtol=1e-6, atol=1e-6
+    )

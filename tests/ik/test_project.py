@@ -1,4 +1,4 @@
-"""The nearest attainable pose: closed form held against brute force, and the bottoms that Newton reaches."""
+"""The nearest attainable pose: closed form against brute force, and the minima that Newton reaches."""
 
 import dataclasses
 import functools
@@ -135,7 +135,7 @@ def test_goals_that_the_arm_reaches_are_reached():
 
 
 @pytest.mark.slow
-def test_slopes_of_every_branch_are_those_of_differences_and_zero_where_there_is_no_goal():
+def test_derivatives_of_every_branch_are_those_of_differences_and_zero_where_there_is_no_goal():
     goals = jnp.asarray(np.concatenate([wild(L3, 8), np.full((1, 4, 4), np.nan)]))
     x, y, z = 0.7, -0.4, 0.5
     spin = jnp.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
@@ -154,13 +154,13 @@ def test_slopes_of_every_branch_are_those_of_differences_and_zero_where_there_is
 
         return jax.jvp(answer, (t,), (jnp.ones_like(t),))
 
-    slopes, step = both(0.0)[1], 1e-4
+    derivatives, step = both(0.0)[1], 1e-4
     near, far = ([both(sign * k * step)[0] for sign in (1, -1)] for k in (1, 2))
-    for slope, ahead, behind, further, before in zip(slopes, *near, *far, strict=True):
+    for derivative, ahead, behind, further, before in zip(derivatives, *near, *far, strict=True):
         rough = (8 * (ahead - behind) - (further - before)) / (12 * step)
-        np.testing.assert_allclose(slope[:-1], rough[:-1], atol=2e-4 * (1 + np.abs(rough[:-1]).max()))
-        assert np.isfinite(slope).all()
-    assert not slopes[0][-1].any() and np.abs(slopes[0][:-1]).max() > 0.1
+        np.testing.assert_allclose(derivative[:-1], rough[:-1], atol=2e-4 * (1 + np.abs(rough[:-1]).max()))
+        assert np.isfinite(derivative).all()
+    assert not derivatives[0][-1].any() and np.abs(derivatives[0][:-1]).max() > 0.1
 
 
 TURRET = ikjax.Arm.from_dh(
@@ -208,7 +208,7 @@ def test_a_bare_wrist_meets_every_orientation(costly_dtype):
     arm = ikjax.Arm.from_dh(a=[0] * 3, alpha=turns, d=[0] * 3, convention="standard", dtype=costly_dtype)
     goals = np.asarray(ikjax.pose(rpy=np.random.default_rng(0).uniform(-1, 1, (5, 3))), costly_dtype)
     ikjax.check_goals(arm, goals)
-    # A slope of `CONVERGED` in units of 1 m, where a radian is worth 0.1 m.
+    # A gradient of `CONVERGED` in units of 1 m, where a radian counts as 0.1 m.
     flat = 2e-3 if costly_dtype == np.float32 else 1e-6
     start = np.full(3, 0.1, costly_dtype)
     # Eagerly the arm's zeros are known, inside jit they are not.
@@ -219,8 +219,8 @@ def test_a_bare_wrist_meets_every_orientation(costly_dtype):
     assert ikjax.project(arm, goals).rotation_error.max() < 200 * np.finfo(costly_dtype).eps
     moves = ikjax.manipulability(arm, near.q)
     np.testing.assert_allclose(moves, abs(np.sin(near.q[:, 1])), rtol=1e-5)
-    slope = jax.grad(lambda a: ikjax.refine(dataclasses.replace(arm, a=a), goals, start).cost.sum())(arm.a)
-    assert np.isfinite(slope).all()
+    gradient = jax.grad(lambda a: ikjax.refine(dataclasses.replace(arm, a=a), goals, start).cost.sum())(arm.a)
+    assert np.isfinite(gradient).all()
 
 
 def test_a_gantry_without_lengths_is_solved_tracked_and_projected(dtype):

@@ -54,7 +54,7 @@ LEAVES = ("a", "alpha", "d", "theta", "base", "tool")
 
 
 @jax.jit
-def slopes(arm, q):
+def gradients(arm, q):
     """Of the sum of all measures, in the arm's leaves and in q."""
 
     def total(leaves, q):
@@ -65,7 +65,7 @@ def slopes(arm, q):
 
 @jax.jit
 def along(arm, q, rates, t):
-    """The measures at arm + t rates, q + t rates, and their slopes in t."""
+    """The measures at arm + t rates, q + t rates, and their derivatives in t."""
 
     def moved(t):
         columns, turn = rates
@@ -78,11 +78,11 @@ def along(arm, q, rates, t):
 @pytest.mark.parametrize(
     "name", ["planar_prr", *(pytest.param(name, marks=pytest.mark.slow) for name in ("puma560", "stanford"))]
 )
-def test_slopes_are_finite_at_singularities_and_those_of_differences_elsewhere(name, costly_dtype, rng):
+def test_gradients_are_finite_at_singularities_and_those_of_differences_elsewhere(name, costly_dtype, rng):
     arm = ikjax.robots.get(name).astype(costly_dtype)
     q = jnp.asarray(joints(arm, rng), costly_dtype)
-    for slope in jax.tree.leaves(slopes(arm, q)):
-        assert np.isfinite(slope).all()
+    for gradient in jax.tree.leaves(gradients(arm, q)):
+        assert np.isfinite(gradient).all()
     if costly_dtype == np.float32:
         return
     values = np.linalg.svd(scaled_jacobian(arm, q), compute_uv=False)
@@ -94,8 +94,8 @@ def test_slopes_are_finite_at_singularities_and_those_of_differences_elsewhere(n
     rates = rates, rng.normal(size=q.shape)
     step = 1e-6
     ahead, behind = (np.asarray(along(arm, q, rates, jnp.asarray(t))[0]) for t in (step, -step))
-    slope = np.asarray(along(arm, q, rates, jnp.asarray(0.0))[1])
-    np.testing.assert_allclose(slope[regular], ((ahead - behind) / (2 * step))[regular], atol=1e-5)
+    derivative = np.asarray(along(arm, q, rates, jnp.asarray(0.0))[1])
+    np.testing.assert_allclose(derivative[regular], ((ahead - behind) / (2 * step))[regular], atol=1e-5)
 
 
 def test_a_measure_for_every_branch_under_vmap_and_jit():
@@ -141,8 +141,8 @@ def test_limits_are_as_far_as_the_nearest_whatever_the_turns(dtype):
     np.testing.assert_allclose(ikjax.limit_clearance(arm, q.astype(dtype)), expected, atol=1e-6)
     free = dataclasses.replace(arm, limits=jnp.array([[-jnp.inf, jnp.inf]] * 3, dtype))
     np.testing.assert_allclose(ikjax.limit_clearance(free, q.astype(dtype)), np.pi, rtol=1e-6)
-    slopes = jax.grad(lambda arm, q: ikjax.limit_clearance(arm, q).sum(), (0, 1))(free, q.astype(dtype))
-    assert all(np.isfinite(x).all() for x in jax.tree.leaves(slopes))
+    gradients = jax.grad(lambda arm, q: ikjax.limit_clearance(arm, q).sum(), (0, 1))(free, q.astype(dtype))
+    assert all(np.isfinite(x).all() for x in jax.tree.leaves(gradients))
 
 
 def test_a_limit_distance_is_positive_just_where_a_branch_is_within_limits():
@@ -166,7 +166,7 @@ def test_joints_of_another_number_are_refused():
     "name",
     [pytest.param("planar_3r", marks=pytest.mark.slow), pytest.param("puma560", marks=pytest.mark.long)],
 )
-def test_second_slopes_through_solve_are_those_of_differences_and_finite_at_singularities(name, rng):
+def test_second_derivatives_through_solve_are_those_of_differences_and_finite_at_singularities(name, rng):
     arm = ikjax.robots.get(name)
     arm = dataclasses.replace(arm, limits=jnp.asarray([[-2.5, 2.9]] * arm.n))
     corners = np.concatenate([np.zeros((1, arm.n)), rng.integers(-2, 3, (8, arm.n)) * np.pi / 2])
@@ -178,7 +178,7 @@ def test_second_slopes_through_solve_are_those_of_differences_and_finite_at_sing
 
     def measures(t, goal):
         turn = jnp.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 0]])
-        # A row of NaN would have rates of NaN, which no slope of ours can mend.
+        # A row of NaN would have rates of NaN, which no derivative of ours can mend.
         proper = jnp.where(jnp.isfinite(goal[:3, :3]), goal[:3, :3], 0)
         rotation = goal[:3, :3] + (t[2] * turn + t[2] ** 2 / 2 * turn @ turn) @ proper
         goal = goal.at[:3, :3].set(rotation).at[:2, 3].add(t[:2])
@@ -196,7 +196,7 @@ def test_second_slopes_through_solve_are_those_of_differences_and_finite_at_sing
     values = np.linalg.svd(scaled_jacobian(arm, sol.q), compute_uv=False)
     regular = np.asarray(sol.valid) & (values[..., -1] > 0.05) & (values[..., -2] - values[..., -1] > 0.02)
     regular[12:] = False
-    # A limit distance has corners where another limit is the nearest: there the slope itself jumps.
+    # A limit distance has corners where another limit is the nearest: there the derivative itself jumps.
     smooth = regular[:, None] & (np.abs(rows).max((0, -1)) < 1e-2)
     assert regular.sum() > 10 and smooth.sum() > 0.95 * 4 * regular.sum()
     size = 1 + np.abs(rough).max((-1, -2), keepdims=True)

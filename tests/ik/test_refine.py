@@ -1,4 +1,4 @@
-"""Downhill to the nearest pose: exact slopes, no step up, limits kept, and slopes of the answer."""
+"""Descent to the nearest pose: exact derivatives, no step up, limits kept, and gradients of the answer."""
 
 import dataclasses
 import functools
@@ -40,8 +40,9 @@ def columns(q):
     return tuple(jnp.asarray(q[..., i]) for i in range(q.shape[-1]))
 
 
-def standing(arm, goals, q):
-    return newton.standing(arm, newton.Wish(poses.from_matrix(jnp.asarray(goals)), LENGTH), columns(q))
+def evaluate(arm, goals, q):
+    objective = newton.Objective(poses.from_matrix(jnp.asarray(goals)), LENGTH)
+    return newton.evaluate(arm, objective, columns(q))
 
 
 @pytest.mark.parametrize("angle", [0, 1e-12, 1e-5, 1, 3, np.pi - 1e-9, np.pi])
@@ -49,7 +50,7 @@ def test_the_turn_of_a_rotation_is_right_at_every_angle(angle):
     axes = np.concatenate([np.eye(3), -np.eye(3), np.random.default_rng(0).normal(size=(20, 3))])
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     rows = Rotation.from_rotvec(angle * axes).as_matrix()
-    turn = poses.turn_of(tuple(tuple(jnp.asarray(rows[:, i, j]) for j in range(3)) for i in range(3)))
+    turn = poses.rotation_vector(tuple(tuple(jnp.asarray(rows[:, i, j]) for j in range(3)) for i in range(3)))
     found = np.stack(turn.vector, -1)
     # At pi the axis may point either way.
     sign = np.sign(np.sum(found * axes, -1, keepdims=True)) if angle > 3.1 else 1
@@ -77,22 +78,22 @@ ARMS = {
 
 
 @pytest.mark.parametrize("name", ARMS)
-def test_slope_and_curvature_are_those_of_the_cost(name):
+def test_gradient_and_hessian_are_those_of_the_cost(name):
     arm = ARMS[name]
     q = np.random.default_rng(1).uniform(-1, 1, (3, arm.n))
     goals, h = wild(arm, 3, seed=2), 1e-5
-    at = standing(arm, goals, q)
+    here = evaluate(arm, goals, q)
     steps = np.concatenate([np.eye(arm.n), -np.eye(arm.n)])[:, None] * h
-    beside = standing(arm, goals[None], q[None] + steps)
+    beside = evaluate(arm, goals[None], q[None] + steps)
     size = float(ikjax.solvers.pipeline.reach(arm.baked()))
     units = np.where([kind == "P" for kind in arm.kinds], size, 1.0)[:, None]
     up, down = np.split(np.array(beside.cost), 2)
-    np.testing.assert_allclose(np.array(at.slope), units * (up - down) / (4 * h), atol=1e-9)
-    slopes = np.array(beside.slope)
-    curve = units[None, :] * (slopes[:, : arm.n] - slopes[:, arm.n :]) / (2 * h)
+    np.testing.assert_allclose(np.array(here.gradient), units * (up - down) / (4 * h), atol=1e-9)
+    gradients = np.array(beside.gradient)
+    hessian = units[None, :] * (gradients[:, : arm.n] - gradients[:, arm.n :]) / (2 * h)
     for i in range(arm.n):
         for j in range(i + 1):
-            np.testing.assert_allclose(at.curve[i][j], curve[i, j], atol=1e-8)
+            np.testing.assert_allclose(here.hessian[i][j], hessian[i, j], atol=1e-8)
 
 
 @functools.cache
@@ -126,7 +127,7 @@ def test_it_ends_where_no_small_move_improves_and_never_above_its_start():
 
 
 @pytest.mark.slow
-def test_a_loss_of_ones_own_is_minimized_within_limits():
+def test_a_custom_loss_is_minimized_within_limits():
     goals = wild(ARM, 4)
 
     def posture(arm, goal, q):
@@ -183,27 +184,27 @@ def test_an_arm_that_moves_in_a_plane_is_asked_for_what_lies_in_its_own(name):
 
 @BOTH_TYPES
 def test_a_saddle_is_left(dtype):
-    """At full stretch the slope of a goal straight ahead is zero, and no pose of a bottom is."""
+    """At full stretch the gradient of a goal straight ahead is zero, and the pose is not a minimum."""
     arm = ikjax.robots.planar_2r().astype(dtype)
     x = np.array([0.4, 0.8, 0.8991, 0.899595], dtype)
     goals = ikjax.position(x, np.zeros_like(x), np.zeros_like(x))
     found = ikjax.refine(arm, goals, np.zeros((4, 2), dtype))
-    # So near to full stretch a slope of nothing, in float32, leaves a tenth of a millimetre.
+    # So near to full stretch a gradient norm of zero, in float32, leaves a tenth of a millimetre.
     assert found.converged.all() and np.max(found.position_error) < (1e-10 if dtype == np.float64 else 2e-4)
     path = ikjax.track(arm, goals[::-1], np.zeros(2, dtype))
     assert path.reached.all() and path.followed[:2].all()
 
 
 @pytest.mark.slow
-def test_slopes_of_slopes_follow_the_bottom():
+def test_second_derivatives_follow_the_minimum():
     arm = ikjax.robots.planar_3r()
 
     def near(t):
         found = ikjax.refine(arm, ikjax.planar_pose(1.32 + t, 0.3, 2.0), jnp.array([0.3, 0.2, 0.1]), 1.0)
         return jnp.concatenate([jnp.stack([found.cost, found.position_error, found.rotation_error]), found.q])
 
-    slope, h = jax.jit(jax.jacfwd(near)), 1e-4
-    wanted = (slope(h) - slope(-h)) / (2 * h)
+    derivative, h = jax.jit(jax.jacfwd(near)), 1e-4
+    wanted = (derivative(h) - derivative(-h)) / (2 * h)
     for outer in (jax.jacfwd, jax.jacrev):
         np.testing.assert_allclose(outer(jax.jacfwd(near))(0.0), wanted, atol=1e-7)
 
@@ -223,7 +224,7 @@ def test_branches_that_are_level_do_not_take_turns(dtype):
     [
         ({"optimizer": optax.sgd(0.1)}, "optimizer is of a loss"),
         ({"loss": lambda arm, goal, q: q[0], "priority": "position"}, "priority is of the errors"),
-        ({"length": np.ones(2)}, "characteristic_length must be a positive number"),
+        ({"characteristic_length": np.ones(2)}, "characteristic_length must be a positive number"),
         ({"q0": np.zeros((0, 5))}, "q0 must hold at least one start"),
         ({"steps": -1}, "steps must be a whole number, not negative, got -1"),
     ],
@@ -285,18 +286,18 @@ def test_nothing_is_measured_against_what_stands_for_a_goal_that_is_no_pose(case
         near = ikjax.refine(ARM, goals, q0)
         return jnp.where(near.converged, near.cost, 0).sum() + near.q.sum()
 
-    slope = np.asarray(jax.jit(jax.grad(total))(goals))
-    assert np.isfinite(slope).all() and slope[0].any() and not slope[1].any()
+    gradient = np.asarray(jax.jit(jax.grad(total))(goals))
+    assert np.isfinite(gradient).all() and gradient[0].any() and not gradient[1].any()
 
 
-def test_a_loss_is_handed_the_nearest_rotation_and_goals_that_have_none_as_they_are():
+def test_a_loss_gets_the_nearest_rotation_and_goals_that_have_none_as_they_are():
     goals = np.stack([typed(ARM, np.zeros((1, 5)) + 0.3)[0][0], NO_POSES["a reflection"]])
     seen = ikjax.refine(ARM, goals, np.zeros(5), loss=lambda arm, T, q: jnp.linalg.det(T[:3, :3]), steps=1)
     np.testing.assert_allclose(seen.cost, [1, -1], atol=1e-14)
     assert np.isnan(seen.rotation_error).tolist() == [False, True] and not seen.converged[1]
 
 
-def test_the_slope_at_a_typed_goal_is_that_of_its_nearest_rotation():
+def test_the_derivative_at_a_typed_goal_is_that_of_its_nearest_rotation():
     goal = jnp.asarray(typed(ARM, np.full((1, 5), 0.4))[0][0]).at[0, 3].add(0.3)
     change, h = np.random.default_rng(1).normal(size=(4, 4)) * np.array([[1]] * 3 + [[0]]), 1e-5
 
@@ -305,8 +306,8 @@ def test_the_slope_at_a_typed_goal_is_that_of_its_nearest_rotation():
         found = ikjax.refine(ARM, goal + t * change, jnp.full(5, 0.4))
         return jnp.concatenate([found.q, jnp.stack([found.cost, found.rotation_error])])
 
-    _, slope = jax.jvp(near, (0.0,), (1.0,))
-    np.testing.assert_allclose(slope, (near(h) - near(-h)) / (2 * h), rtol=1e-4, atol=1e-6)
+    _, derivative = jax.jvp(near, (0.0,), (1.0,))
+    np.testing.assert_allclose(derivative, (near(h) - near(-h)) / (2 * h), rtol=1e-4, atol=1e-6)
 
 
 def test_converged_is_not_said_where_rounding_decides():

@@ -186,7 +186,7 @@ class TestWithinLimits:
     def test_it_never_makes_a_slot_valid(self):
         assert not ikjax.within_limits(limited(-1, 1), solutions([row(0.0)], [False])).valid.any()
 
-    def test_jit_and_vmap_agree_and_the_slope_is_one(self, rng):
+    def test_jit_and_vmap_agree_and_the_gradient_is_one(self, rng):
         arm = ARM
         sol = solutions(rng.uniform(-PI, PI, (10, 8, 6)))
 
@@ -198,5 +198,5 @@ class TestWithinLimits:
         for other in (jax.jit(call), jax.vmap(call)):
             np.testing.assert_array_equal(other(sol).q, wanted.q)
             np.testing.assert_array_equal(other(sol).valid, wanted.valid)
-        slope = jax.grad(lambda q: call(dataclasses.replace(sol, q=q)).q.sum())(sol.q)
-        np.testing.assert_array_equal(slope, 1)
+        gradient = jax.grad(lambda q: call(dataclasses.replace(sol, q=q)).q.sum())(sol.q)
+        np.testing.assert_array_equal(gradient, 1)

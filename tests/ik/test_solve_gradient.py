@@ -1,4 +1,4 @@
-"""Slopes of joints and margins: against differences, the implicit formula, each other, and edges."""
+"""Derivatives of joints and margins: against differences, the implicit formula, each other, and edges."""
 
 import dataclasses
 import functools
@@ -112,8 +112,8 @@ def differences(f, step=1e-6):
 
 
 def agree(arm, moved_q, ok, tolerance):
-    """The slope of moved_q(t) at t = 0 against differences of it; moved_q gives both."""
-    start, slope = map(np.asarray, moved_q(0.0))
+    """The derivative of moved_q(t) at t = 0 against differences of it; moved_q gives both."""
+    start, derivative = map(np.asarray, moved_q(0.0))
     turning = np.array([kind == "R" for kind in arm.kinds])
 
     def unwrapped(t):
@@ -123,7 +123,7 @@ def agree(arm, moved_q, ok, tolerance):
     rough = differences(unwrapped)
     size = 1 + np.abs(rough).max(-1, keepdims=True)
     assert ok.sum() > 10
-    assert (np.abs(slope - rough) / size)[ok].max() < tolerance
+    assert (np.abs(derivative - rough) / size)[ok].max() < tolerance
 
 
 def random_rates(name, arm, rng):
@@ -152,8 +152,8 @@ def test_joints_follow_the_goal_and_every_free_leaf(name):
         return jax.jvp(q, (t,), (jnp.ones_like(t),))
 
     columns, base, twist = random_rates(name, arm, rng)
-    still = {key: 0 * rate for key, rate in columns.items()}
-    for rates in ((columns, base, 0 * twist), (still, 0 * base, twist), (columns, 0 * base, twist)):
+    fixed = {key: 0 * rate for key, rate in columns.items()}
+    for rates in ((columns, base, 0 * twist), (fixed, 0 * base, twist), (columns, 0 * base, twist)):
         agree(arm, lambda t, rates=rates: both(jnp.asarray(t), rates), ok, 3e-6)
 
 
@@ -244,8 +244,8 @@ def test_second_order_vmap_jit_and_remat_agree(name):
     each = jax.jit(jax.vmap(jax.grad(again), (None, 0)))
     summed = jax.jit(jax.grad(lambda move: jax.vmap(total, (None, 0))(move, goals).sum()))
     zero = jnp.zeros(len(ways))
-    slopes = each(zero, goals)
-    np.testing.assert_allclose(summed(zero), slopes.sum(0), atol=1e-9 * np.abs(slopes).max())
+    gradients = each(zero, goals)
+    np.testing.assert_allclose(summed(zero), gradients.sum(0), atol=1e-9 * np.abs(gradients).max())
     second = jax.jit(jax.hessian(total))(zero, goals[0])
     step = 1e-5
     ahead, behind = (
@@ -268,7 +268,7 @@ def edges(arm, dtype):
 
 
 @pytest.mark.parametrize(("name", "dtype"), EITHER)
-def test_slopes_are_finite_at_every_edge(name, dtype):
+def test_gradients_are_finite_at_every_edge(name, dtype):
     arm = build(name).astype(dtype)
     arm = dataclasses.replace(arm, limits=jnp.zeros_like(arm.limits))
     goals = edges(build(name).astype(np.float64), dtype)
@@ -277,9 +277,9 @@ def test_slopes_are_finite_at_every_edge(name, dtype):
         sol = ikjax.solve(arm, goals)
         return (sol.q**2).sum() + sol.margin.sum()
 
-    slopes = jax.jit(jax.grad(total, (0, 1)))(arm, goals)
-    for slope in jax.tree.leaves(slopes):
-        assert np.isfinite(slope).all()
+    gradients = jax.jit(jax.grad(total, (0, 1)))(arm, goals)
+    for gradient in jax.tree.leaves(gradients):
+        assert np.isfinite(gradient).all()
 
 
 @pytest.mark.parametrize("name", ["SCARA RRPR", pytest.param("puma560", marks=pytest.mark.long)])
@@ -289,25 +289,27 @@ def test_a_bad_row_leaves_the_sum_over_the_good_rows(name):
     good = np.delete(np.arange(40), [7, 20])
 
     @jax.jit
-    def slope(d, goals):
+    def gradient(d, goals):
         return jax.grad(lambda d: jnp.sin(ikjax.solve(dataclasses.replace(arm, d=d), goals).q).sum())(d)
 
-    # One program for both: the rows left out are filled with a row out of reach, whose slopes are zero.
+    # One program for both: the rows left out are filled with a row out of reach, whose gradients are zero.
     far = goals[0].at[:3, 3].multiply(100)
-    np.testing.assert_array_equal(slope(arm.d, mixed), slope(arm.d, goals.at[jnp.array([7, 20])].set(far)))
-    assert np.isfinite(slope(arm.d, mixed)).all() and len(good) == 38
+    np.testing.assert_array_equal(
+        gradient(arm.d, mixed), gradient(arm.d, goals.at[jnp.array([7, 20])].set(far))
+    )
+    assert np.isfinite(gradient(arm.d, mixed)).all() and len(good) == 38
 
 
 @pytest.mark.parametrize("name", ["SCARA RRPR", pytest.param("puma560", marks=pytest.mark.long)])
-def test_slots_that_reach_nothing_stand_still(name):
+def test_slots_that_reach_nothing_have_zero_derivatives(name):
     arm, goals, _, _ = case(name, 12)
     far = goals.at[1, :3, 3].multiply(100.0)
-    slopes = jax.jit(jax.jacfwd(lambda t: ikjax.solve(arm, moved(far, t)).q))(jnp.zeros(6))
-    assert not slopes[1].any() and slopes[0].any() and slopes[2].any()
+    derivatives = jax.jit(jax.jacfwd(lambda t: ikjax.solve(arm, moved(far, t)).q))(jnp.zeros(6))
+    assert not derivatives[1].any() and derivatives[0].any() and derivatives[2].any()
 
 
 @pytest.mark.slow
-def test_slopes_of_many_goals_are_those_of_few(monkeypatch):
+def test_derivatives_of_many_goals_are_those_of_few(monkeypatch):
     arm, goals, _, _ = case("2R", 40)
     plane = jnp.asarray(in_plane(arm, np.ones(6)))
 
@@ -315,14 +317,14 @@ def test_slopes_of_many_goals_are_those_of_few(monkeypatch):
         where = moved(goals, t * plane).reshape(2, 20, 4, 4)
         return jnp.sin(ikjax.solve(dataclasses.replace(arm, a=a), where).q).sum()
 
-    def slopes(a, t):
+    def derivatives(a, t):
         forward = jax.jvp(lambda t: total(a, t), (t,), (jnp.ones_like(t),))[1]
         back = jax.grad(total, (0, 1))
         return forward, *back(a, t), *jax.jvp(back, (a, t), (jnp.ones_like(a), jnp.ones_like(t)))[1]
 
-    whole = jax.jit(slopes)(arm.a, jnp.zeros(()))
+    whole = jax.jit(derivatives)(arm.a, jnp.zeros(()))
     monkeypatch.setattr(ikjax.ik.solve_gradient, "BLOCK", 12)
-    blocked = jax.jit(lambda *x: slopes(*x)).lower(arm.a, jnp.zeros(()))
+    blocked = jax.jit(lambda *x: derivatives(*x)).lower(arm.a, jnp.zeros(()))
     assert "while" in blocked.as_text()
     for one, other in zip(blocked.compile()(arm.a, jnp.zeros(())), whole, strict=True):
         np.testing.assert_allclose(one, other, atol=1e-12 * np.abs(other).max())
@@ -343,7 +345,7 @@ def test_captured_goals_leave_shared_values_apart():
 
 
 @pytest.mark.slow
-def test_damping_bounds_the_slope_at_a_singularity():
+def test_damping_bounds_the_derivative_at_a_singularity():
     arm = build("puma560").astype(np.float64)
     q = jnp.array([0.3, -0.5, 0.4, 0.2, 0.0, 0.6])  # the wrist is straight
     goal = ikjax.fk(arm, q)
@@ -359,7 +361,7 @@ def test_damping_bounds_the_slope_at_a_singularity():
     for damping in (1e-1, 1e-2, 1e-3):
         assert np.abs(jacobian(goals, damping)[0]).max() < 0.5 / damping * 3
     assert np.abs(jacobian(goals, 1e-1)[0]).max() < 100
-    # ... and where the arm is regular, slopes are short by (damping / sigma)^2 only.
+    # ... and where the arm is regular, derivatives are short by (damping / sigma)^2 only.
     off = np.abs(jacobian(goals, 1e-4) - jacobian(goals, 1e-6)).max((-1, -2))[1:]
     assert 0 < off[ok].max() < 1e-2
 
@@ -371,7 +373,7 @@ MORE_MARGINS = ("RRR, point", "ur5", "RRR, wrist", "SCARA RRPR", "2, 3, 4 parall
 @pytest.mark.parametrize(
     "name", [*MARGINS, *(pytest.param(name, marks=pytest.mark.long) for name in MORE_MARGINS)]
 )
-def test_margins_have_their_own_slope_inside_and_outside(name):
+def test_margins_have_their_own_derivative_inside_and_outside(name):
     arm, goals, _, _ = case(name)
     out = goals.at[:, :3, 3].add(1.5 * arms.reach(arm) * goals[:, :3, 0])
     twist = jnp.asarray(in_plane(arm, np.random.default_rng(3).normal(size=6)))
@@ -383,9 +385,9 @@ def test_margins_have_their_own_slope_inside_and_outside(name):
 
     for where in (goals, out):
         margin = lambda t, where=where: np.asarray(both(jnp.asarray(t), where)[0])  # noqa: E731
-        slope, rough = both(jnp.asarray(0.0), where)[1], differences(margin, 1e-7)
-        assert np.isfinite(slope).all() and np.abs(slope).max() > 0
-        close = np.abs(slope - rough) < 1e-4 * (1 + np.abs(rough))
+        derivative, rough = both(jnp.asarray(0.0), where)[1], differences(margin, 1e-7)
+        assert np.isfinite(derivative).all() and np.abs(derivative).max() > 0
+        close = np.abs(derivative - rough) < 1e-4 * (1 + np.abs(rough))
         # Not where two steps are equally near to failing: there the least of them has a corner.
         assert close.mean() > 0.97
 
@@ -398,7 +400,7 @@ LED = [family for family in FAMILIES if family not in ("turret", "five_axis")]
 
 @pytest.mark.parametrize("family", FEW)
 def test_margins_of_few_joints_lead_to_their_poses(family):
-    """Goals moved off an arm's poses anyhow: as far as the margin says, and back along its slope."""
+    """Goals moved off an arm's poses anyhow: as far as the margin says, and back along its gradient."""
     arm = build(ONE_OF_EACH[family]).astype(np.float64)
     size, ways = arms.reach(arm), np.diag([arms.reach(arm)] * 3 + [1.0] * 3)
     goals = arms.numpy_fk(arm, arm_patterns.joints(arm, 60, seed=3))
@@ -411,8 +413,8 @@ def test_margins_of_few_joints_lead_to_their_poses(family):
             sol = ikjax.solve(arm, jax.vmap(moved)(goals, move @ ways))
             return sol.margin.max(-1).sum(), (sol.margin.max(-1), sol.valid.any(-1))
 
-        slope, (margin, valid) = jax.grad(best, has_aux=True)(jnp.zeros((60, 6)))
-        return slope, margin, valid
+        gradient, (margin, valid) = jax.grad(best, has_aux=True)(jnp.zeros((60, 6)))
+        return gradient, margin, valid
 
     def put(goals, twists):
         goals, twists = goals.copy(), twists @ ways
@@ -422,14 +424,14 @@ def test_margins_of_few_joints_lead_to_their_poses(family):
 
     twists = 0.03 * np.random.default_rng(1).normal(size=(60, 6))
     goals = put(goals, twists)
-    slope, margin, valid = map(np.asarray, look(goals))
+    gradient, margin, valid = map(np.asarray, look(goals))
     assert not valid.any() and (margin < 0).all()
     assert (-margin <= 2 * size * np.linalg.norm(twists, axis=-1)).all()
     # Where a fold and the miss are left in turn, each step undoes a part of the one before.
     for _ in range(30):
-        step = -margin[:, None] * slope / np.maximum((slope**2).sum(-1, keepdims=True), 1e-300)
+        step = -margin[:, None] * gradient / np.maximum((gradient**2).sum(-1, keepdims=True), 1e-300)
         goals = put(goals, np.where(valid[:, None], 0, step))
-        slope, margin, valid = map(np.asarray, look(goals))
+        gradient, margin, valid = map(np.asarray, look(goals))
     assert valid[inside].all()
 
 
@@ -447,7 +449,7 @@ def test_margins_lead_in_from_outside(family):
     out /= np.linalg.norm(out, axis=-1, keepdims=True)
 
     @jax.jit
-    def climb(points):
+    def gradient_at(points):
         def best(points):
             sol = ikjax.solve(arm, goals.at[:, :3, 3].set(points))
             return ikjax.smooth_max(sol.margin, 0.01 * size).sum(), sol.valid.any(-1)
@@ -455,17 +457,17 @@ def test_margins_lead_in_from_outside(family):
         return jax.grad(best, has_aux=True)(points)
 
     points = np.asarray(goals[:, :3, 3]) + 0.8 * size * out
-    outside = ~np.asarray(climb(points)[1])
+    outside = ~np.asarray(gradient_at(points)[1])
     for step in 0.05 * size * 0.975 ** np.arange(120):
-        slope, reached = map(np.asarray, climb(points))
-        way = slope / np.maximum(np.linalg.norm(slope, axis=-1, keepdims=True), 1e-300)
+        gradient, reached = map(np.asarray, gradient_at(points))
+        way = gradient / np.maximum(np.linalg.norm(gradient, axis=-1, keepdims=True), 1e-300)
         points = np.where(reached[:, None], points, points + step * way)
-    assert outside.mean() > 0.7 and np.asarray(climb(points)[1])[outside].all()
+    assert outside.mean() > 0.7 and np.asarray(gradient_at(points)[1])[outside].all()
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["puma560", "ur5", "RRR, wrist"])
-def test_slopes_of_a_million_goals_are_finite_half_of_them_at_edges(name, dtype):
+def test_gradients_of_a_million_goals_are_finite_half_of_them_at_edges(name, dtype):
     arm = build(name)
     pool = np.array(edges(arm.astype(np.float64), np.float64))
     count = 10**6
@@ -476,7 +478,7 @@ def test_slopes_of_a_million_goals_are_finite_half_of_them_at_edges(name, dtype)
     plain = dataclasses.replace(arm.astype(dtype), limits=jnp.zeros_like(arm.limits, dtype=dtype))
 
     @jax.jit
-    def slopes(leaves, goals):
+    def gradients(leaves, goals):
         def total(leaves, goals):
             sol = ikjax.solve(dataclasses.replace(plain, **leaves), goals)
             return sol.q.sum() + sol.margin.sum()
@@ -485,8 +487,8 @@ def test_slopes_of_a_million_goals_are_finite_half_of_them_at_edges(name, dtype)
 
     leaves = {key: getattr(plain, key) for key in LEAVES}
     for part in np.split(goals, 10):
-        for slope in jax.tree.leaves(slopes(leaves, jnp.asarray(part))):
-            assert np.isfinite(slope).all()
+        for gradient in jax.tree.leaves(gradients(leaves, jnp.asarray(part))):
+            assert np.isfinite(gradient).all()
 
 
 @pytest.mark.long
@@ -496,7 +498,7 @@ def test_one_bad_row_in_a_million_leaves_the_sum_over_the_others(dtype):
     arm = arm.astype(dtype)
 
     @jax.jit
-    def slopes(leaves, goals):
+    def gradients(leaves, goals):
         def total(leaves, goals):
             sol = ikjax.solve(dataclasses.replace(arm, **leaves), goals)
             return jnp.sin(sol.q).sum()
@@ -504,11 +506,11 @@ def test_one_bad_row_in_a_million_leaves_the_sum_over_the_others(dtype):
         return jax.grad(total, (0, 1))(leaves, goals)
 
     leaves = {key: getattr(arm, key) for key in LEAVES}
-    # A row out of reach has no slopes: with it, the sum is that over the others, in the same order.
+    # A row out of reach has no gradients: with it, the sum is that over the others, in the same order.
     far, bad = goals.copy(), goals.copy()
     far[4321, :3, 3] *= 100
     bad[4321] = np.nan
-    wanted, got = (slopes(leaves, jnp.asarray(x)) for x in (far, bad))
+    wanted, got = (gradients(leaves, jnp.asarray(x)) for x in (far, bad))
     assert not np.asarray(wanted[1][4321]).any() and np.asarray(wanted[0]["a"]).any()
     for one, other in zip(jax.tree.leaves(wanted), jax.tree.leaves(got), strict=True):
         np.testing.assert_array_equal(one, other)
@@ -516,7 +518,7 @@ def test_one_bad_row_in_a_million_leaves_the_sum_over_the_others(dtype):
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", list(FREE))
-def test_slopes_of_many_arms_are_those_of_differences_and_of_the_jacobian(name):
+def test_derivatives_of_many_arms_are_those_of_differences_and_of_the_jacobian(name):
     """200 arms of a family with a goal each: along each leaf and the goal, wherever sigma_min > 1e-3."""
     arm, count = build(name).astype(np.float64), 200
     rng = np.random.default_rng(12)
@@ -565,28 +567,28 @@ def test_slopes_of_many_arms_are_those_of_differences_and_of_the_jacobian(name):
     turning = np.array([kind == "R" for kind in arm.kinds])
     for key in rates:
         one = {other: rate * (other == key) for other, rate in rates.items()}
-        start, slope = map(np.asarray, along(stack, goals, one, np.zeros(count)))
+        start, derivative = map(np.asarray, along(stack, goals, one, np.zeros(count)))
 
         def at(t, one=one, start=start):
             q = np.asarray(along(stack, goals, one, t)[0])
             return np.where(turning, arms.wrapped(q - start), q - start)
 
         rough = [(8 * (at(t) - at(-t)) - (at(2 * t) - at(-2 * t))) / (12 * t[:, None, None]) for t in steps]
-        off = np.min([np.abs(slope - r).max(-1) / (1 + np.abs(r).max(-1)) for r in rough], axis=0)
+        off = np.min([np.abs(derivative - r).max(-1) / (1 + np.abs(r).max(-1)) for r in rough], axis=0)
         # Two slots of a quartic may change names: then both jump.
         far = 2 * steps[-1]
-        same = asked & (np.abs(at(far) - far[:, None, None] * slope).max(-1) < 0.1)
+        same = asked & (np.abs(at(far) - far[:, None, None] * derivative).max(-1) < 0.1)
         assert same.sum() > 0.98 * asked.sum()
         assert off[same].max() < 1e-6, (key, off[same].max())
         if key == "goal" and arm.task == "pose" and arm.n == 6:
             exact = np.linalg.solve(J[asked], np.repeat(rates[key], asked.sum(-1), axis=0)[..., None])[..., 0]
-            np.testing.assert_allclose(slope[asked], exact, rtol=1e-6, atol=1e-6 * np.abs(exact).max())
+            np.testing.assert_allclose(derivative[asked], exact, rtol=1e-6, atol=1e-6 * np.abs(exact).max())
 
 
 @pytest.mark.parametrize(
     "count", [pytest.param(10, marks=pytest.mark.slow), pytest.param(200, marks=pytest.mark.long)]
 )
-def test_slopes_of_five_joints_follow_their_own_poses(count):
+def test_derivatives_of_five_joints_follow_their_own_poses(count):
     """Goals that move with the arm, because no others are reached: along each leaf, and with the joints."""
     arm = build("five axes, lateral").astype(np.float64)
     rng, columns, mounts = np.random.default_rng(12), ("a", "alpha", "d", "theta"), ("base", "tool")
@@ -611,8 +613,8 @@ def test_slopes_of_five_joints_follow_their_own_poses(count):
         return jax.jvp(lambda t: joints(arm, q, speed, rate, t), (t,), (jnp.ones_like(t),))
 
     zero = np.zeros(count)
-    still = {key: 0 * rate for key, rate in rates.items()}
-    start = np.asarray(along(stack, q, speed, still, zero)[0])
+    fixed = {key: 0 * rate for key, rate in rates.items()}
+    start = np.asarray(along(stack, q, speed, fixed, zero)[0])
     valid = np.asarray(jax.jit(jax.vmap(ikjax.solve))(stack, jax.vmap(ikjax.fk)(stack, q)).valid)
     least = np.stack(
         [arm_patterns.sigma_min(jax.tree.map(lambda x, i=i: x[i], stack), start[i]) for i in range(count)]
@@ -624,14 +626,25 @@ def test_slopes_of_five_joints_follow_their_own_poses(count):
     steps = np.where(asked, least, np.inf).min(-1, initial=0.1) ** 2 * np.array([[0.01], [0.05], [0.2]])
     for key in (*rates, "q"):
         rate = {other: rate * (other == key) for other, rate in rates.items()}
-        slope = np.asarray(along(stack, q, speed, rate, zero)[1])
+        derivative = np.asarray(along(stack, q, speed, rate, zero)[1])
         # The slot that the goal was made of goes on with its joints.
-        wanted = np.broadcast_to(speed[:, None], slope.shape)[mine]
-        np.testing.assert_allclose(slope[mine], wanted, rtol=1e-6, atol=1e-6 * np.abs(wanted).max())
+        wanted = np.broadcast_to(speed[:, None], derivative.shape)[mine]
+        np.testing.assert_allclose(derivative[mine], wanted, rtol=1e-6, atol=1e-6 * np.abs(wanted).max())
 
         def at(t, rate=rate):
             return arms.wrapped(np.asarray(along(stack, q, speed, rate, t)[0]) - start)
 
         rough = [(8 * (at(t) - at(-t)) - (at(2 * t) - at(-2 * t))) / (12 * t[:, None, None]) for t in steps]
-        off = np.min([np.abs(slope - r).max(-1) / (1 + np.abs(r).max(-1)) for r in rough], axis=0)
+        off = np.min([np.abs(derivative - r).max(-1) / (1 + np.abs(r).max(-1)) for r in rough], axis=0)
         assert off[asked].max() < 1e-6, (key, off[asked].max())
+
+
+def test_reverse_mode_where_some_equations_depend_on_no_rate():
+    """The lengths of a SCARA move nothing vertically: that right-hand side is a known zero."""
+    arm = ikjax.robots.gx4_351s()
+    goals = ikjax.fk(arm, np.random.default_rng(0).uniform(0.05, 0.1, (4, arm.n)))
+    reverse, forward = (
+        derivative(lambda a: ikjax.solve(dataclasses.replace(arm, a=a), goals).q.sum())(arm.a)
+        for derivative in (jax.grad, jax.jacfwd)
+    )
+    np.testing.assert_allclose(reverse, forward, rtol=1e-9, atol=1e-9)

@@ -162,8 +162,8 @@ def test_a_kr16_has_two_values_a_wrist_axis_and_a_universal_robot_mostly_two_of_
         gap, turn = ikjax.pose_error(ikjax.fk(arm, every), ikjax.fk(arm, q))
         assert gap.max() < 1e-12 and turn.max() < 1e-12
     ends = dataclasses.replace(ur5(), limits=jnp.asarray(np.tile([-TURN, TURN], (6, 1))))
-    still = made(np.zeros((1, 6)), np.ones(1, bool), np.float64)
-    assert ikjax.turns(ends, still).within.all()
+    zero = made(np.zeros((1, 6)), np.ones(1, bool), np.float64)
+    assert ikjax.turns(ends, zero).within.all()
 
 
 def test_a_motor_whose_turn_is_another_pose_is_never_turned():
@@ -197,8 +197,8 @@ def test_jit_vmap_and_grad_agree(dtype):
         nearest, inside, all_turns = every(dataclasses.replace(sol, q=q), now)
         return nearest[0].sum() + inside.q.sum() + all_turns.q.sum()
 
-    slope = np.asarray(jax.jit(jax.grad(total))(sol.q))
-    np.testing.assert_array_equal(slope.sum((1, 2)), 6 * (1 + 8 * (1 + wanted[-1].shape[-1])))
+    gradient = np.asarray(jax.jit(jax.grad(total))(sol.q))
+    np.testing.assert_array_equal(gradient.sum((1, 2)), 6 * (1 + 8 * (1 + wanted[-1].shape[-1])))
 
 
 def test_traced_limits_need_to_be_told_how_many():

@@ -18,7 +18,7 @@ jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 import small  # noqa: E402
 
-from ikjax.maps.store.storage import Place  # noqa: E402
+from ikjax.maps.store.storage import Storage  # noqa: E402
 from ikjax.maps.store.store import Store  # noqa: E402
 
 
@@ -41,9 +41,9 @@ def deadly(last: int) -> None:
             step(lambda n=name, v=value: store.arrays[n][store.box(number)].write(v).result())
         return []
 
-    write, delete = Place.write, Place.delete
-    Place.write = lambda place, *what: step(lambda: write(place, *what))
-    Place.delete = lambda place, *what: step(lambda: delete(place, *what))
+    write, delete = Storage.write, Storage.delete
+    Storage.write = lambda storage, *what: step(lambda: write(storage, *what))
+    Storage.delete = lambda storage, *what: step(lambda: delete(storage, *what))
     Store.put = put
 
 

@@ -36,7 +36,7 @@ def files(out) -> dict[str, bytes]:
     """What lies in a map's folder, but for the group's document, which holds the time it took."""
     out = pathlib.Path(out)
     found = {str(path.relative_to(out)): path.read_bytes() for path in out.rglob("*") if path.is_file()}
-    found.pop(manifest.GROUP)
+    found.pop(manifest.GROUP_KEY)
     return found
 
 

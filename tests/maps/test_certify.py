@@ -15,7 +15,7 @@ STRAIGHT = {"gx4_351s": (1, 0.0), "puma560": (2, -np.arctan2(0.4318, 0.0203))}
 
 
 def at_the_edge(arm, count: int = 400):
-    """Points that an arm just reaches or just does not, by micrometres, each in one of eight orientations."""
+    """Points that an arm just reaches or just does not, by micrometers, each in one of eight orientations."""
     rng = np.random.default_rng(5)
     low, high = np.clip(np.array(arm.limits).T, -np.pi, np.pi)
     q = rng.uniform(low, high, (count, arm.n))
@@ -56,11 +56,11 @@ def test_sums_and_turns_of_the_tool_are_certified_too(tmp_path):
     assert "float32, certified in float64" in certified.summary()
     # What was stored is enough to make it again.
     again = ikjax.ReachMap.load(tmp_path / "map")
-    kept = ikjax.sweep(
+    resumed = ikjax.sweep(
         again.arm, again.positions, turns, free_rolls=3, statistics=names, dtype="float32", certify=True,
         out=tmp_path / "map", resume=True,
     )  # fmt: skip
-    assert kept.units.kept == kept.units.total
+    assert resumed.units.kept == resumed.units.total
 
 
 def test_what_cannot_be_certified_is_refused():

@@ -32,7 +32,7 @@ def test_what_is_near_is_no_angle_below_zero_and_no_doubt():
         ikjax.maps.Near(0.01, -0.1)
     with pytest.raises(ValueError, match="name must be"):
         ikjax.maps.Near(0.01, 0.1, name="Near enough")
-    with pytest.raises(ValueError, match="certify knows no doubts"):
+    with pytest.raises(ValueError, match="certify does not support Near"):
         statistics.certified(planned("reachable", ikjax.maps.Near(0.001, 0.4)))
 
 
@@ -41,5 +41,5 @@ def planned(*wanted) -> statistics.Plan:
 
 
 def test_tolerances_are_part_of_what_a_map_says():
-    told = [planned(ikjax.maps.Near(0.01, angle)).told()["near"] for angle in (0.1, 0.2)]
-    assert told[0] != told[1] and told[0]["near"] == [0.01, 0.1]
+    specs = [planned(ikjax.maps.Near(0.01, angle)).specs()["near"] for angle in (0.1, 0.2)]
+    assert specs[0] != specs[1] and specs[0]["near"] == [0.01, 0.1]

@@ -44,18 +44,19 @@ def start(out, *arguments, devices=1):
     return [subprocess.Popen([*command, str(i), *more], **options) for i, more in enumerate(arguments)]
 
 
-def ends(crew):
-    """What each said, and how it ended."""
-    said = [process.communicate(timeout=120) for process in crew]
+def ends(processes):
+    """What each printed, and how it ended."""
+    printed = [process.communicate(timeout=120) for process in processes]
     return [
-        (process.returncode, out.strip(), err[-2000:]) for process, (out, err) in zip(crew, said, strict=True)
+        (process.returncode, out.strip(), err[-2000:])
+        for process, (out, err) in zip(processes, printed, strict=True)
     ]
 
 
 @pytest.mark.parametrize("devices", [2, 4])
 def test_more_devices_give_the_same_bits(devices, whole, tmp_path):
-    ((code, said, err),) = ends(start(tmp_path / "map.zarr", [], devices=devices))
-    assert code == 0 and said == "8 0 8 0", err
+    ((code, printed, err),) = ends(start(tmp_path / "map.zarr", [], devices=devices))
+    assert code == 0 and printed == "8 0 8 0", err
     assert small.files(tmp_path / "map.zarr") == small.files(whole)
 
 
@@ -63,19 +64,19 @@ def test_two_processes_share_the_units_and_go_on_with_those_of_one(whole, tmp_pa
     out, asked = tmp_path / "map.zarr", []
     with pytest.raises(SweepStoppedError, match="holds 3 of 8 units"):
         small.swept(out, stop=lambda ended: "tea" if ended and (asked.append(1) or len(asked) == 3) else None)
-    for code, said, err in ends(start(out, [], [])):
-        assert code == 0 and said == "8 3 5 0", err
+    for code, printed, err in ends(start(out, [], [])):
+        assert code == 0 and printed == "8 3 5 0", err
     assert small.files(out) == small.files(whole) and not (tmp_path / "map.zarr.lock").exists()
     assert small.bits(ikjax.ReachMap.load(out)) == small.bits(ikjax.ReachMap.load(whole))
-    diary = (tmp_path / "map.zarr.log").read_text()
-    assert diary.count("complete, ") == 1
+    log = (tmp_path / "map.zarr.log").read_text()
+    assert log.count("complete, ") == 1
 
 
 def test_a_process_that_stops_stops_the_others_and_one_goes_on(whole, tmp_path):
     out = tmp_path / "map.zarr"
-    (code, said, err), other = ends(start(out, [], ["1"]))
+    (code, printed, err), other = ends(start(out, [], ["1"]))
     assert other[0] == 3 and "stopped: tea" in other[1], other
-    assert code == 3 and "process 1 ended: SweepStoppedError: stopped: tea" in said, err
+    assert code == 3 and "process 1 ended: SweepStoppedError: stopped: tea" in printed, err
     with pytest.raises(ValueError, match="unfinished"):
         ikjax.ReachMap.load(out)
     assert small.swept(out, resume=True).units.kept >= 1

@@ -14,7 +14,7 @@ from ikjax.maps.sets import orientations as turns
 from ikjax.maps.sets.integer_angles import about_z
 from ikjax.maps.sets.positions import Grid
 from ikjax.maps.sets.surface import Surface
-from ikjax.maps.statistics import unpacked
+from ikjax.maps.statistics import unpacked_mask
 
 ARM = ikjax.robots.ur5()
 LIGHT = (
@@ -45,17 +45,17 @@ def assert_counts_what_solve_answers(reach):
     names = [name for name in LIGHT[:4] if name in reach.arrays]
     sol = ikjax.solve(reach.arm, goals_of(reach))
     inside = ikjax.within_limits(reach.arm, sol)
-    flat = reach.positions.count
-    for end, found in (("", sol), ("_within", inside)):
-        valid = np.asarray(found.valid)
-        told = {name: reach.arrays[name + end].reshape(flat, -1) for name in names}
+    count = reach.positions.count
+    for end, solutions in (("", sol), ("_within", inside)):
+        valid = np.asarray(solutions.valid)
+        arrays = {name: reach.arrays[name + end].reshape(count, -1) for name in names}
         reached = valid.any((-1, -2))
-        assert (told["reachable"][:, 0] == reached.sum(-1)).all()
+        assert (arrays["reachable"][:, 0] == reached.sum(-1)).all()
         assert 0 < reached.sum() < reached.size
         if len(names) > 1:
-            assert (told["solutions"][:, 0] == valid.sum((1, 2, 3))).all()
-            assert (told["branches"] == valid.any(2).sum(1)).all()
-            assert (unpacked(told["mask"], reach.orientation_count) == reached).all()
+            assert (arrays["solutions"][:, 0] == valid.sum((1, 2, 3))).all()
+            assert (arrays["branches"] == valid.any(2).sum(1)).all()
+            assert (unpacked_mask(arrays["mask"], reach.orientation_count) == reached).all()
             assert (reach.reached((0, 0, 0)) == reach.reached()[0, 0, 0]).all()
 
 

@@ -161,7 +161,7 @@ def test_means_of_many_solutions_are_rounded_so_that_sums_fit():
     for slots in (1, 2, 8, 16):
         for rolls in (1, 5, 36, 1024):
             whole = joint_measures.LARGEST / joint_measures.unit_of_mean(slots, rolls) * slots * rolls
-            assert whole * statistics.GROUP <= 2**31
+            assert whole * statistics.GOALS_PER_WORD <= 2**31
 
 
 def with_weights(weights) -> dict:

@@ -20,8 +20,7 @@ import ikjax
 from ikjax.maps.sets.orientations import Listed
 from ikjax.maps.statistics import USUAL, plan
 from ikjax.maps.store import lock, manifest
-from ikjax.maps.store import manifest as specs
-from ikjax.maps.store.storage import Place, StorageError
+from ikjax.maps.store.storage import Storage, StorageError
 from ikjax.maps.store.store import Store
 from ikjax.maps.sweep import SweepStoppedError
 
@@ -63,9 +62,9 @@ def test_the_bits_do_not_depend_on_the_chunks_or_the_place(chunk, memory, tmp_pa
 
 
 def test_a_finished_map_is_kept_as_it_is_when_gone_on_with(copy, whole, memory):
-    before = (copy / manifest.GROUP).read_bytes()
+    before = (copy / manifest.GROUP_KEY).read_bytes()
     assert small.swept(copy, resume=True, chunk=None).units == (small.UNITS, small.UNITS, 0, 0)
-    assert (copy / manifest.GROUP).read_bytes() == before
+    assert (copy / manifest.GROUP_KEY).read_bytes() == before
     assert_whole(copy, whole, memory)
 
 
@@ -146,7 +145,7 @@ def test_an_unfinished_map_says_so_and_is_not_swept_over(copy, whole, memory):
     shutil.rmtree(copy / "solutions" / "c" / "0")
     with pytest.raises(ValueError, match=r"unfinished: 4 of 8 units are missing; go on .*--resume"):
         ikjax.ReachMap.load(copy)
-    (copy / manifest.GROUP).write_bytes(manifest.group(head_of(copy)._replace(state="sweeping")))
+    (copy / manifest.GROUP_KEY).write_bytes(manifest.group_document(head_of(copy)._replace(state="sweeping")))
     with pytest.raises(FileExistsError, match=r"an unfinished map; go on with resume=True .*--force"):
         small.swept(copy)
     assert small.swept(copy, resume=True).units == (8, 4, 4, 0)
@@ -154,7 +153,7 @@ def test_an_unfinished_map_says_so_and_is_not_swept_over(copy, whole, memory):
 
 
 def head_of(out) -> manifest.Head:
-    head = manifest.read_group((out / manifest.GROUP).read_bytes())
+    head = manifest.read_group((out / manifest.GROUP_KEY).read_bytes())
     assert head is not None
     return head
 
@@ -162,10 +161,11 @@ def head_of(out) -> manifest.Head:
 def test_another_spec_is_refused_with_both_fingerprints(copy, whole):
     with pytest.raises(ValueError) as caught:
         small.swept(copy, resume=True, dtype="float64", positions=ikjax.maps.grid((0, 0, 0), (1, 1, 1), 0.25))
-    said = str(caught.value)
-    assert specs.fingerprint(head_of(whole).spec) in said and said.count("fingerprint") == 1
+    message = str(caught.value)
+    assert manifest.fingerprint(head_of(whole).spec) in message and message.count("fingerprint") == 1
     assert (
-        'dtype: "float32" there, "float64" here' in said and "positions.spacing: 0.1 there, 0.25 here" in said
+        'dtype: "float32" there, "float64" here' in message
+        and "positions.spacing: 0.1 there, 0.25 here" in message
     )
     with pytest.raises(ValueError, match=r"has chunk \(4, 4, 1\), got chunk \(2, 2, 2\)"):
         small.swept(copy, resume=True, chunk=(2, 2, 2))
@@ -291,17 +291,17 @@ def test_a_folder_that_is_read_only_is_named_and_a_map_in_it_is_read(mounted, wh
 def test_a_lock_that_is_taken_away_while_its_holder_is_found_dead_is_not_held(tmp_path, monkeypatch):
     path = tmp_path / "map.zarr.lock"
     path.write_bytes(json.dumps({"pid": 2**22 + 1, "host": socket.gethostname(), "began": "1"}).encode())
-    refuse = lock._refuse_living
+    refuse = lock._refuse_live_holder
 
-    def ended(place, holder, where):
-        monkeypatch.setattr(lock, "_refuse_living", refuse)
+    def ended(storage, holder, where):
+        monkeypatch.setattr(lock, "_refuse_live_holder", refuse)
         path.unlink()
-        refuse(place, holder, where)
+        refuse(storage, holder, where)
 
-    monkeypatch.setattr(lock, "_refuse_living", ended)
-    place = Place(tmp_path / "map.zarr")
+    monkeypatch.setattr(lock, "_refuse_live_holder", ended)
+    storage = Storage(tmp_path / "map.zarr")
     wanted = pytest.raises(ValueError, match="is being written by process")
-    with lock.Lock(place), wanted, lock.Lock(place):
+    with lock.Lock(storage), wanted, lock.Lock(storage):
         pass
     assert not path.exists()
 
@@ -310,12 +310,12 @@ def test_of_many_who_find_a_dead_writers_lock_one_takes_it(tmp_path):
     code = f"""
 import json, os, sys, time
 sys.path.insert(0, {str(HERE.parent.parent)!r})
-from ikjax.maps.store.lock import Lock, _mine
-from ikjax.maps.store.storage import Place
-place = Place(sys.argv[1])
-lock = Lock(place)
+from ikjax.maps.store.lock import Lock, _own_identity
+from ikjax.maps.store.storage import Storage
+storage = Storage(sys.argv[1])
+lock = Lock(storage)
 for trial in range(10):
-    dead = json.loads(_mine()) | {{"began": "1"}}
+    dead = json.loads(_own_identity()) | {{"began": "1"}}
     # Some find what a writer left that died before it had said who it was.
     lock.file.write_bytes(json.dumps(dead).encode() if trial % 5 else b"")
     go, tell = time.time() + 0.03, os.pipe()
@@ -326,7 +326,7 @@ for trial in range(10):
             while time.time() < go:
                 pass
             try:
-                with Lock(place):
+                with Lock(storage):
                     inside = os.open(sys.argv[1] + ".inside", os.O_CREAT | os.O_EXCL)
                     time.sleep(0.02)
                     os.unlink(sys.argv[1] + ".inside")
@@ -352,14 +352,14 @@ for trial in range(10):
 def test_a_slow_arm_gets_small_units_and_calls_and_the_same_bits(memory, monkeypatch):
     from ikjax.maps.kernel.program import Kernel
 
-    suit, seen = Kernel.suit, []
+    tune_calls, seen = Kernel.tune_calls, []
 
     def slow(kernel, seconds):
-        suit(kernel, 0.0)
+        tune_calls(kernel, 0.0)
         seen.append((kernel.blocks, kernel.tiles))
         return 10.0
 
-    monkeypatch.setattr(Kernel, "suit", slow)
+    monkeypatch.setattr(Kernel, "tune_calls", slow)
     asked = []
     assert (
         small.bits(small.swept(chunk=None, stop=lambda ended: asked.append(ended) if ended else None))
@@ -373,7 +373,7 @@ def test_a_slow_arm_gets_small_units_and_calls_and_the_same_bits(memory, monkeyp
     )
 
 
-def test_a_place_that_cannot_be_written_is_named(tmp_path):
+def test_a_storage_that_cannot_be_written_is_named(tmp_path):
     # Whoever runs this may write anywhere, so a file stands where a folder is wanted.
     (tmp_path / "file").write_text("dear")
     with pytest.raises(StorageError, match=r"cannot write .*file/map\.zarr\.lock"):
@@ -458,21 +458,21 @@ def test_an_arm_in_a_map_keeps_its_coupling_and_correction(tmp_path, rng):
         a=[0.3, 0.2, 0, 0], alpha=[0, 0, 0, 0], d=[0.1, 0, 0, 0], kinds="RRPR", convention="standard",
         coupling=np.eye(4) + np.eye(4, k=1), correction=correction,
     )  # fmt: skip
-    back = specs.to_arm(specs.of_arm(arm))
+    back = manifest.arm_from_spec(manifest.arm_spec(arm))
     assert np.array_equal(back.coupling, arm.coupling) and np.array_equal(back.correction, arm.correction)
-    assert specs.of_arm(back) == specs.of_arm(arm)
-    plain = specs.of_arm(ikjax.robots.gx4_351s())
-    assert specs.fingerprint(plain) != specs.fingerprint({**plain, "coupling": np.eye(4).tolist()})
+    assert manifest.arm_spec(back) == manifest.arm_spec(arm)
+    plain = manifest.arm_spec(ikjax.robots.gx4_351s())
+    assert manifest.fingerprint(plain) != manifest.fingerprint({**plain, "coupling": np.eye(4).tolist()})
 
 
 def test_a_spec_does_not_depend_on_the_type_that_an_arm_comes_in():
     arm = ikjax.robots.puma560()
     around, turns = ikjax.maps.around(arm, 1), Listed(np.eye(3)[None])
-    kept = plan(arm, USUAL, 1).told()
-    rest = around, turns, 1, "float32", kept, manifest.fixed(around, turns)
-    spec = specs.of_study(arm, *rest)
-    assert spec == specs.of_study(arm.astype(np.float32), *rest) and spec["arm"]["a"][1] == 0.4318
-    back = specs.to_arm(spec["arm"])
+    rest = around, turns, 1, "float32", plan(arm, USUAL, 1).specs(), {}, 0.0
+    spec, _ = manifest.describe(ikjax.ReachMap(arm, *rest))
+    assert spec == manifest.describe(ikjax.ReachMap(arm.astype(np.float32), *rest))[0]
+    assert spec["arm"]["a"][1] == 0.4318
+    back = manifest.arm_from_spec(spec["arm"])
     assert back.dtype == np.float32 and back.family == arm.family
     assert np.array_equal(back.alpha, arm.astype(np.float32).alpha)
 
@@ -482,12 +482,12 @@ def test_default_chunks_are_about_a_second_of_work():
         for shape in ((71, 71, 71), (2000, 2000, 2000), (3, 500, 1)):
             chunk = manifest.default_chunk(shape, orientations)
             assert all(1 <= edge <= size for edge, size in zip(chunk, shape, strict=True))
-            assert np.prod(chunk) * orientations <= max(manifest.GOALS * 1.01, 512 * orientations)
+            assert np.prod(chunk) * orientations <= max(manifest.UNIT_GOALS * 1.01, 512 * orientations)
 
 
-def test_keys_beside_a_place_are_not_in_it(tmp_path):
-    Place(tmp_path / "map.zarr.old").write("a", b"1")
-    assert Place(tmp_path / "map.zarr").keys() == set()
+def test_keys_beside_a_storage_are_not_in_it(tmp_path):
+    Storage(tmp_path / "map.zarr.old").write("a", b"1")
+    assert Storage(tmp_path / "map.zarr").keys() == set()
 
 
 def test_an_arm_is_stored_as_it_is_and_read_in_silence():
@@ -496,7 +496,7 @@ def test_an_arm_is_stored_as_it_is_and_read_in_silence():
     arm = ikjax.Arm.from_dh(**table, convention="standard").astype(np.float32)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        back = specs.to_arm(specs.of_arm(arm))
+        back = manifest.arm_from_spec(manifest.arm_spec(arm))
     for one, other in zip(jax.tree.leaves(back), jax.tree.leaves(arm), strict=True):
         np.testing.assert_array_equal(one, other)
     assert back.signs == arm.signs and back.correction is None

@@ -120,7 +120,7 @@ def test_even_rotations_are_rotations_and_even():
     assert np.abs(rotations.mean(0)).max() < 0.01
 
 
-def test_a_grid_fills_its_box_and_is_centerd():
+def test_a_grid_fills_its_box_and_is_centered():
     grid = ikjax.maps.grid((0, 0, 0), (1, 0.55, 0), 0.25)
     assert grid.shape == (5, 3, 1) and grid.count == 15
     assert np.allclose(grid.points()[0, 0, 0], (0, 0.025, 0))

@@ -12,7 +12,7 @@ NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable"
 
 
 def find() -> str | None:
-    """Where a browser is, if there is one."""
+    """Path of a browser, if there is one."""
     return next((path for path in map(shutil.which, NAMES) if path), None)
 
 
@@ -35,9 +35,9 @@ class Browser:
     def __enter__(self) -> "Browser":
         from websockets.sync.client import connect
 
-        said = self.folder / "profile" / "DevToolsActivePort"
-        until(lambda: said.exists() and "\n" in said.read_text(), 60, "the browser to start")
-        self.port = int(said.read_text().split()[0])
+        answer = self.folder / "profile" / "DevToolsActivePort"
+        until(lambda: answer.exists() and "\n" in answer.read_text(), 60, "the browser to start")
+        self.port = int(answer.read_text().split()[0])
         pages = json.load(urllib.request.urlopen(f"http://127.0.0.1:{self.port}/json/list"))
         (page,) = (each for each in pages if each["type"] == "page")
         self.socket = connect(page["webSocketDebuggerUrl"], max_size=None)
@@ -55,22 +55,22 @@ class Browser:
         number = next(self.numbers)
         self.socket.send(json.dumps({"id": number, "method": method, "params": parameters}))
         while True:
-            said = json.loads(self.socket.recv(timeout=120))
-            if said.get("id") == number:
-                assert "error" not in said, said
-                return said["result"]
+            answer = json.loads(self.socket.recv(timeout=120))
+            if answer.get("id") == number:
+                assert "error" not in answer, answer
+                return answer["result"]
 
     def open(self, url: str) -> None:
         self.ask("Page.navigate", url=url)
 
     def evaluate(self, expression: str):
-        """What a JavaScript expression is."""
-        said = self.ask("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
-        assert "exceptionDetails" not in said, said
-        return said["result"].get("value")
+        """The value of a JavaScript expression."""
+        answer = self.ask("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
+        assert "exceptionDetails" not in answer, answer
+        return answer["result"].get("value")
 
     def text(self) -> str:
-        """All that can be read on the page."""
+        """All text of the page."""
         return self.evaluate("document.body ? document.body.innerText : ''") or ""
 
     def picture(self) -> bytes:
@@ -85,7 +85,7 @@ class Browser:
         )
 
     def drag(self, start: tuple[float, float], end: tuple[float, float], steps: int = 8) -> None:
-        """Press at one place and let go at another."""
+        """Press the button at one place and release it at another."""
         self.mouse("mouseMoved", *start)
         self.mouse("mousePressed", *start, buttons=1)
         for k in range(1, steps + 1):

@@ -1,4 +1,4 @@
-"""Pictures are made, say what they show, and leave nothing open."""
+"""Pictures are made, are labeled, and leave no figure open."""
 
 import dataclasses
 
@@ -59,7 +59,7 @@ def test_slices_choose_the_panels(reach):
 
 
 @pytest.mark.parametrize("piece", [("w", 0), ("xy", 0), ("", 0), ("x", "up"), "x", 3])
-def test_a_slice_that_is_none_is_named(reach, piece):
+def test_an_invalid_slice_is_named(reach, piece):
     with pytest.raises(ValueError, match="a slice must be"):
         plot.reach_map(reach, slices=[piece])
 
@@ -118,7 +118,9 @@ def test_an_isosurface_of_a_ball_is_closed_and_has_its_volume():
     x = np.linspace(-1.3, 1.3, 27)
     field = 1 - np.linalg.norm(np.stack(np.meshgrid(x, x, x, indexing="ij")), axis=0)
     a, b, c = np.moveaxis(-1.3 + 0.1 * plot.isosurface(field, 0.0), 1, 0)
-    np.testing.assert_allclose(np.cross(b - a, c - a).sum(0), 0, atol=1e-9)  # what is closed has no net area
+    np.testing.assert_allclose(
+        np.cross(b - a, c - a).sum(0), 0, atol=1e-9
+    )  # the net area of a closed surface is zero
     volume = np.einsum("ij,ij->", a, np.cross(b, c)) / 6  # positive: turned outwards
     np.testing.assert_allclose(volume, 4 / 3 * np.pi, rtol=0.02)
 

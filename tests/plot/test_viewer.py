@@ -25,21 +25,21 @@ def reach():
 
 
 class Handle:
-    """A stand-in for what viser gives back: values, and who wants to know of them."""
+    """A stand-in for what viser returns: values, and callbacks for their changes."""
 
     def __init__(self, **values):
         self.__dict__.update(values)
-        self.heard = []
+        self.callbacks = []
 
     def on_update(self, call):
-        self.heard.append(call)
+        self.callbacks.append(call)
 
     def on_click(self, call):
         self.clicked = call
 
     def set(self, **values):
         self.__dict__.update(values)
-        for call in self.heard:
+        for call in self.callbacks:
             call(None)
 
 
@@ -97,7 +97,7 @@ def test_every_valid_branch_of_the_goal_is_drawn_and_ends_there(reach):
             np.testing.assert_allclose(lines[-1, 1], xyz, atol=1e-5)
             np.testing.assert_array_equal(lines[1:, 0], lines[:-1, 1])
     within = int(np.sum(ikjax.within_limits(reach.arm, sol).valid))
-    assert f"{int(sol.valid.sum())} of 8 branches, {within} within limits" in shown.said.content
+    assert f"{int(sol.valid.sum())} of 8 branches, {within} within limits" in shown.summary.content
     shown.limited.set(value=True)
     assert len(server.lines) == within
     shown.goal.set(position=np.array([9.0, 0, 0]))
@@ -170,7 +170,7 @@ def test_the_command_serves_a_map_until_it_is_interrupted(reach, tmp_path):
     pytest.importorskip("viser")
     pytest.importorskip("tensorstore")
     reach.save(tmp_path / "map.zarr")
-    # Whoever runs the tests in the background has told them, and all they start, to ignore interrupts.
+    # A shell starts background jobs, and so the tests and their children, with interrupts ignored.
     heed = "signal.signal(signal.SIGINT, signal.default_int_handler)"
     start = f"import runpy, signal; {heed}; runpy.run_module('ikjax.cli', run_name='__main__')"
     command = [sys.executable, "-c", start, "show", "map.zarr", "--viewer", "--port", "8767"]
@@ -199,10 +199,10 @@ def test_in_a_browser_a_moved_slice_and_a_clicked_goal_change_what_is_shown(reac
         return np.round(255 * imread(io.BytesIO(page.picture()))[150:450, 330:560, :3])
 
     def settled(page) -> np.ndarray:
-        """The scene once two looks at it are the same."""
+        """The scene, once two pictures of it are the same."""
         looks = [scene(page)]
         browser.until(
-            lambda: looks.append(scene(page)) or (looks[-1] == looks[-2]).all(), 120, "a still scene"
+            lambda: looks.append(scene(page)) or (looks[-1] == looks[-2]).all(), 120, "an unchanged scene"
         )
         return looks[-1]
 
@@ -213,7 +213,7 @@ def test_in_a_browser_a_moved_slice_and_a_clicked_goal_change_what_is_shown(reac
             browser.until(lambda: " branches, " in page.text(), 120, "the panel")
             assert shown.server.get_clients() and reach.arm.name in page.text()
             browser.until(lambda: len(np.unique(settled(page).reshape(-1, 3), axis=0)) > 100, 120, "the map")
-            first, said = settled(page), shown.said.content
+            first, said = settled(page), shown.summary.content
             # The slider is dragged by its thumb.
             find = "document.querySelector('[role=slider].mantine-Slider-thumb').getBoundingClientRect()"
             x, y = page.evaluate(f"(b => [b.x + b.width / 2, b.y + b.height / 2])({find})")
@@ -230,8 +230,8 @@ def test_in_a_browser_a_moved_slice_and_a_clicked_goal_change_what_is_shown(reac
             page.mouse("mouseReleased", 420, 250)
             browser.until(lambda: not np.array_equal(shown.goal.position, before), 60, "the click")
             assert shown.goal.position[1] == pytest.approx(at)
-            browser.until(lambda: shown.said.content != said, 60, "other branches")
-            words = shown.said.content.split("**")[1]
+            browser.until(lambda: shown.summary.content != said, 60, "other branches")
+            words = shown.summary.content.split("**")[1]
             browser.until(lambda: words in page.text(), 60, "them in the panel")
             assert (second != settled(page)).any(-1).mean() > 0.005
     finally:

@@ -1,7 +1,7 @@
 """Every real answer of an arm to a goal, at 50 digits: shares nothing with ikjax but the DH table.
 
 The arm is C0 J1 C1 J2 ... Jn Cn: rigid constants, and between them joints that turn about or slide along z.
-A turn is kept as exp(i q), a slide as its length. G is the goal without C0 and Cn: J1 C1 ... Jn.
+A turn is stored as exp(i q), a slide as its length. G is the goal without C0 and Cn: J1 C1 ... Jn.
 
 Upper bound: all joints but one are eliminated, and the condition F that is left is a polynomial of known
 degree in that joint (in its cos and sin, where it turns). F is only ever evaluated: its coefficients come
@@ -30,7 +30,7 @@ ORIGIN = np.array([0, 0, 0, 1], object)
 
 
 class NearFoldError(Exception):
-    """Which roots are real cannot be told with certainty."""
+    """It is not certain which roots are real."""
 
 
 def inverse(T) -> np.ndarray:
@@ -41,7 +41,7 @@ def inverse(T) -> np.ndarray:
 
 
 def J(x, kind="R") -> np.ndarray:
-    """A joint where it stands."""
+    """The motion of a joint at a value."""
     T = np.eye(4, dtype=int).astype(object)
     if kind == "R":
         T[:2, :2] = [[x.real, -x.imag], [x.imag, x.real]]
@@ -58,7 +58,7 @@ def moved(kinds, C, joints) -> np.ndarray:
     return T
 
 
-def flat(v):
+def rho_squared(v):
     """Squared distance from the z axis."""
     return v[0] * v[0] + v[1] * v[1]
 
@@ -116,10 +116,10 @@ def on_circle(kind, M, right, radius_squared) -> list:
     det = M[0, 0] * M[1, 1] - M[0, 1] * M[1, 0]
     if abs(det) > REAL:
         adjugate = np.array([[M[1, 1], -M[0, 1]], [-M[1, 0], M[0, 0]]], object)
-        found = roots(kind, lambda s: flat(adjugate @ right(s)) - det**2 * radius_squared(s), 2)
+        found = roots(kind, lambda s: rho_squared(adjugate @ right(s)) - det**2 * radius_squared(s), 2)
         return [(s, adjugate @ right(s) / det) for s in found]
-    column = max((0, 1), key=lambda k: flat(M[:, k]))
-    row = max((0, 1), key=lambda k: flat(M[k]))
+    column = max((0, 1), key=lambda k: rho_squared(M[:, k]))
+    row = max((0, 1), key=lambda k: rho_squared(M[k]))
     pairs = []
     for s in roots(kind, lambda s: right(s) @ (M[1, column], -M[0, column]), 1):
         line, wanted = M[row] * mp.sqrt(radius_squared(s)), right(s)[row]
@@ -138,22 +138,22 @@ def regional(kinds, C, p, W) -> list:
     def slide(s):
         return (W[2] - C[1][2] @ h(s)) / C[1][2, 2]
 
-    # Joint 2 moves h to g and keeps |g| and z; what joint 1 keeps of C1 g is then linear in x and y of g.
-    def kept(v, g):
+    # Joint 2 moves h to g and keeps |g| and z; what joint 1 does not change is then linear in x and y of g.
+    def unchanged(v, g):
         return np.array([v @ v - g @ g, v[2]] if kinds[0] == "R" else v[:2], object)
 
     def right(s):
         level = h(s) * (0, 0, 1, 1)
-        return kept(W, h(s)) - kept(C[1] @ level, level)
+        return unchanged(W, h(s)) - unchanged(C[1] @ level, level)
 
     if kinds[:2] == "RP":
-        found = roots(kinds[2], lambda s: flat(C[1] @ (J(slide(s), "P") @ h(s))) - flat(W), 2)
+        found = roots(kinds[2], lambda s: rho_squared(C[1] @ (J(slide(s), "P") @ h(s))) - rho_squared(W), 2)
         pairs = [(slide(s), s) for s in found]
     else:
         units = np.array([[0, 0, 0, 1], [1, 0, 0, 1], [0, 1, 0, 1]], object)
-        origin, x, y = (kept(C[1] @ g, g) for g in units)
+        origin, x, y = (unchanged(C[1] @ g, g) for g in units)
         M = np.array([x - origin, y - origin], object).T
-        pairs = [(between(h(s), g), s) for s, g in on_circle(kinds[2], M, right, lambda s: flat(h(s)))]
+        pairs = [(between(h(s), g), s) for s, g in on_circle(kinds[2], M, right, lambda s: rho_squared(h(s)))]
     ways = []
     for second, s in pairs:
         v = C[1] @ (J(second, kinds[1]) @ h(s))
@@ -164,9 +164,9 @@ def regional(kinds, C, p, W) -> list:
 def pieper(kinds, C, G) -> list:
     """Axes 4, 5 and 6 meet."""
     o, along = C[4][:3, 3], C[4][:3, 2]
-    center = np.array([0, 0, o[2] - along[2] * (o[:2] @ along[:2]) / flat(along), 1], object)
+    center = np.array([0, 0, o[2] - along[2] * (o[:2] @ along[:2]) / rho_squared(along), 1], object)
     last = inverse(C[5]) @ (inverse(C[4]) @ center)
-    assert flat(last) < REAL**2, "the axes do not meet"
+    assert rho_squared(last) < REAL**2, "the axes do not meet"
     ways = []
     for joints in regional(kinds, C, center, G @ last):
         T = inverse(moved(kinds, C[1:4], joints)) @ G
@@ -182,10 +182,10 @@ def planar(kinds, C, G) -> list:
     tip = C[2] @ ORIGIN
     W = G @ (tip if len(kinds) == 2 else ORIGIN)
     if kinds[0] == "P":
-        found = roots("P", lambda s: flat(inverse(J(s, "P") @ C[1]) @ W) - flat(tip), 1)
+        found = roots("P", lambda s: rho_squared(inverse(J(s, "P") @ C[1]) @ W) - rho_squared(tip), 1)
         ways = [(s, between(tip, inverse(J(s, "P") @ C[1]) @ W)) for s in found]
     else:
-        found = roots(kinds[1], lambda s: flat(C[1] @ (J(s, kinds[1]) @ tip)) - flat(W), 1)
+        found = roots(kinds[1], lambda s: rho_squared(C[1] @ (J(s, kinds[1]) @ tip)) - rho_squared(W), 1)
         ways = [(between(C[1] @ (J(s, kinds[1]) @ tip), W), s) for s in found]
     if len(kinds) == 2:
         return ways
@@ -199,7 +199,7 @@ def three_turns(left, A, right, B) -> list:
     def U(x):
         return left @ J(x) @ A
 
-    # The last two entries of a row are kept by J(z), and linear in cos and sin of y.
+    # J(z) does not change the last two entries of a row, which are linear in cos and sin of y.
     constant, *parts = ((right @ J(mp.mpc(*y)) @ B)[2:] for y in ((0, 0), (1, 0), (0, 1)))
     M = np.array([part - constant for part in parts], object).T
     found = on_circle("R", M, lambda x: U(x)[2:] - constant, lambda x: 1)
@@ -234,7 +234,7 @@ def mirrored(solve, kinds, C, G) -> list:
 
 
 def scara(kinds, C, G) -> list:
-    """J1 C1 J2 C2 P3 C3 J4: the slide makes the height."""
+    """J1 C1 J2 C2 P3 C3 J4: the slide gives the height."""
     slide = (G[2, 3] - (C[1] @ C[2] @ C[3])[2, 3]) / (C[1] @ C[2])[2, 2]
     closed = [C[0], C[1], C[2] @ J(slide, "P") @ C[3]]
     return [(one, two, slide, four) for one, two, four in planar("RRR", closed, G)]
@@ -247,7 +247,7 @@ def turret(kinds, C, G) -> list:
 
 
 def five_axis(kinds, C, G) -> list:
-    """Joint 1 has to meet two conditions at once: what joint 5 keeps of the third row of J2 to J5."""
+    """Joint 1 has two conditions: the part of the third row of J2 to J5 that joint 5 does not change."""
     left, right = inverse(C[1])[2], (C[2] @ C[3] @ C[4])[2]
 
     def off(z):
@@ -269,7 +269,7 @@ def five_axis(kinds, C, G) -> list:
 
 
 def answers(arm, C, goal) -> list[tuple]:
-    """Every real answer, joint by joint; NearFoldError where it cannot be told how many there are."""
+    """Every real answer, joint by joint; NearFoldError where their number is not certain."""
     G = inverse(C[0]) @ goal @ inverse(C[-1])
     if arm.family == "position":
         return regional(arm.kinds, C, ORIGIN, G @ C[3] @ ORIGIN)

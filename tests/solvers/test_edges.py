@@ -1,4 +1,4 @@
-"""The edges: singular alone and together, exactly on the fold, one ulp beside it, and their slopes."""
+"""The edges: singular alone and together, exactly on the fold, one ulp beside it, and the gradients there."""
 
 import functools
 import itertools
@@ -272,10 +272,10 @@ def test_margin_far_away_is_finite_and_negative(name, dtype):
     assert not sol.valid.any()
 
 
-SLOPES = {"ur5": np.float32}
+GRADIENTS = {"ur5": np.float32}
 """Compiled in the slow form, in this type; the long form tries more arms, and both types."""
 
-MORE_SLOPES = (*SLOPES, "puma560", "skew_everything", "equal_links", "parallel_every_offset")
+MORE_GRADIENTS = (*GRADIENTS, "puma560", "skew_everything", "equal_links", "parallel_every_offset")
 
 
 def _edge_goals(arm) -> np.ndarray:
@@ -292,12 +292,14 @@ def _edge_goals(arm) -> np.ndarray:
 @pytest.mark.parametrize(
     ("name", "dtype"),
     [
-        pytest.param(name, dtype, marks=pytest.mark.slow if SLOPES.get(name) is dtype else pytest.mark.long)
-        for name in MORE_SLOPES
+        pytest.param(
+            name, dtype, marks=pytest.mark.slow if GRADIENTS.get(name) is dtype else pytest.mark.long
+        )
+        for name in MORE_GRADIENTS
         for dtype in TYPES
     ],
 )
-def test_slopes_are_finite_at_every_edge(name, dtype):
+def test_gradients_are_finite_at_every_edge(name, dtype):
     arm = arms.build(name)
     goals = jnp.asarray(_edge_goals(arm), dtype)
     plain = arms.typed(arm, dtype)
@@ -306,6 +308,6 @@ def test_slopes_are_finite_at_every_edge(name, dtype):
         sol = ikjax.solve(plain, goals, jnp.zeros((*goals.shape[:-2], 6), goals.dtype))
         return sol.q.sum() + sol.margin.sum()
 
-    slope = np.asarray(jax.jit(jax.grad(total))(goals))
-    bad = ~np.isfinite(slope).all((1, 2))
+    gradient = np.asarray(jax.jit(jax.grad(total))(goals))
+    bad = ~np.isfinite(gradient).all((1, 2))
     assert not bad.any(), f"{bad.sum()} rows, the first {np.asarray(goals)[bad][0].tolist()}"

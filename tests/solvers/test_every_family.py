@@ -268,7 +268,7 @@ def _slow(*names):
     ],
 )
 def test_margin_of_a_quartic_is_the_distance_from_its_fold(name):
-    # A distance's slope has length one.
+    # The gradient of a distance has norm one.
     arm = arm_patterns.build(name)
     goals, reach = arm_patterns.arms.numpy_fk(arm, arm_patterns.joints(arm, 1000)), arms.reach(arm)
     goals[:, :3, 3] *= np.linspace(0.7, 1.6, 1000)[:, None]
@@ -278,13 +278,13 @@ def test_margin_of_a_quartic_is_the_distance_from_its_fold(name):
         moved[:, k, 3] += by * reach
         return np.asarray(arms.solve_by_hand(arm, moved).margin)
 
-    slope = np.linalg.norm(
+    gradient_norm = np.linalg.norm(
         [(margins(k, 1e-6) - margins(k, -1e-6)) / (2e-6 * reach) for k in range(3)], axis=0
     )
     margin = margins(0, 0.0) / reach
     for near in ((margin > 0) & (margin < 3e-3), (margin < 0) & (margin > -3e-3)):
         assert near.sum() > 20
-        assert 0.9 < np.median(slope[near]) < 1.15
+        assert 0.9 < np.median(gradient_norm[near]) < 1.15
 
 
 @pytest.mark.parametrize("name", ["RRR meet, wrist", "RRP meet, point", "RRR square, point"])

@@ -56,7 +56,7 @@ def test_the_roll_axis_along_the_first_gives_the_lateral_arm_four_answers():
 def test_a_goal_out_of_the_arms_five_dimensions_is_not_valid(name):
     arm, goals = made(name, random_joints(100))
     aside = arms.numpy_pose([0, 0, 0], [0.02, 0.03, -0.01])[:3, :3]
-    # Turned on where it stands, about an axis that is not the last.
+    # Turned further in place, about an axis that is not the last.
     goals[:, :3, :3] = goals[:, :3, :3] @ aside
     sol = arms.solve_by_hand(arm, goals)
     assert not sol.valid.any()
@@ -74,7 +74,7 @@ def test_front_and_up_are_sides_that_can_be_seen(name):
     wrist = np.linalg.inv(frames[..., 1, :, :]) @ frames[..., 3, :, :]
     p = arms.leaves(arm)
     ahead = (seen[..., 0, 3] + p["a"][0]) * (1 if p["a"][0] >= 0 else -1)
-    # Axis 5's direction weighs in where the foot is near axis 1.
+    # Where the foot is near axis 1, the direction of axis 5 has more weight.
     clear = sol.valid & (np.abs(ahead) > 0.3)
     front = np.array([True, False, True, False])
     if p["alpha"][3] % np.pi == QUARTER and not p["d"][1:4].any():
@@ -206,7 +206,7 @@ def test_a_bad_goal_leaves_its_neighbors_as_they_are():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
-def test_slopes_are_finite_at_each_singularity(name):
+def test_gradients_are_finite_at_each_singularity(name):
     arm = arm_patterns.build(name)
     goals = jnp.asarray(ladders(name)[::25])
 

@@ -34,7 +34,7 @@ def _same(arm, sol, answers):
 def test_ssik_finds_the_same_set(name):
     module, base = peers.ssik(name), peers.ssik_base(name)
     arm, goals, sol = _case(name, 40)
-    # Their tool may stand anyhow.
+    # Their tool frame may have any orientation.
     q = np.random.default_rng(1).uniform(-np.pi, np.pi, (4, 6))
     theirs, ours = np.stack([module.fk(row) for row in q]), base @ arms.numpy_fk(arm, q)
     tool = np.linalg.solve(ours[0], theirs[0])

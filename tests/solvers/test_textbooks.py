@@ -182,8 +182,8 @@ def test_the_catalogue_recovers_its_joints(name, dtype):
 
 
 @pytest.mark.parametrize("name", ["planar_prr", "stanford"])
-def test_margins_of_the_catalogue_have_finite_slopes(name):
+def test_margins_of_the_catalogue_have_finite_gradients(name):
     arm = ikjax.robots.get(name).astype(np.float64)
     goals = arms.numpy_fk(arm, np.random.default_rng(2).uniform(-2, 2, (5, arm.n)))
-    slope = jax.jit(jax.grad(lambda T: ikjax.solve(arm, T).margin.sum()))(jnp.asarray(goals))
-    assert np.isfinite(slope).all() and slope.any()
+    gradient = jax.jit(jax.grad(lambda T: ikjax.solve(arm, T).margin.sum()))(jnp.asarray(goals))
+    assert np.isfinite(gradient).all() and gradient.any()

@@ -9,11 +9,11 @@ import optax
 import pytest
 
 import ikjax
-from ikjax.synthesis.parameters import Parameters, chosen
+from ikjax.synthesis.parameters import Parameters, choose_parameters
 
 INNER, OUTER = 0.3, 1.0
 BEST = (INNER + OUTER) / 2
-"""Of the two links with the greatest clearance to both rims of a ring, for the least length."""
+"""Length of both links with the greatest clearance to both rims of a ring, for the least total length."""
 
 
 def ring(dtype=np.float64, count=12):
@@ -61,7 +61,7 @@ def test_rows_that_are_no_poses_change_nothing_but_the_report(found):
     assert "left out: 2 rows" in again.report()
 
 
-def test_a_search_at_the_end_comes_nearer_and_never_makes_worse(found):
+def test_a_local_search_improves_the_result_and_never_makes_it_worse(found):
     again = study(objective=clearance_for_length, steps=400, local_search=300)
     assert again.score >= found.score and again.scores.max() == found.scores.max()
     assert np.abs(np.array(list(again.values.values())) - BEST).max() < 1e-5
@@ -95,9 +95,9 @@ def test_a_constraint_holds_in_the_end():
 def test_a_constraint_may_be_an_inequality_in_words(rng):
     arm, vary = ikjax.robots.planar_2r(0.9, 0.3), {"a": (0.1, 2.0)}
     for rule in ("a1 + a2 <= 1.3", "1.3 >= a1 + a2", "a1 - 1.3 <= -1 * a2", "-a1 - a2 >= -1.3"):
-        made = chosen(arm, vary, rules=[rule])
+        made = choose_parameters(arm, vary, inequalities=[rule])
         for a1, a2 in rng.uniform(0.1, 2, (5, 2)):
-            np.testing.assert_allclose(made.over(jnp.array([a1, a2])), [a1 + a2 - 1.3], atol=1e-12)
+            np.testing.assert_allclose(made.violations(jnp.array([a1, a2])), [a1 + a2 - 1.3], atol=1e-12)
     found = ikjax.design(arm, ring(), vary, constraints="a1 + a2 <= 1.3", starts=1, steps=0)
     assert found.violation == pytest.approx(-0.1)
 
@@ -120,7 +120,7 @@ def test_a_constraint_that_is_no_number_is_not_met():
 
 @pytest.mark.slow
 def test_ties_hold_on_the_way_to_the_best_manipulability():
-    # Of all triangles of one girth and one base, the one with equal sides is the largest.
+    # Of all triangles with one perimeter and one base, the isosceles one has the largest area.
     tied = study(objective="mean_manipulability", ties=["a1 + a2 = 1.3"], optimizer=optax.sgd(3.0))
     np.testing.assert_allclose(tied.numbers, BEST, atol=2e-3)
     np.testing.assert_allclose(tied.numbers.sum(-1), 1.3, atol=1e-12)
@@ -156,7 +156,7 @@ def test_bounds_and_ties_hold_for_any_coordinates(rng):
     np.testing.assert_allclose(values @ ties[:, :-1].T, np.broadcast_to(ties[:, -1], (500, 2)), atol=1e-9)
 
 
-def test_slopes_of_tied_numbers_are_those_of_differences(rng):
+def test_derivatives_of_tied_numbers_are_those_of_differences(rng):
     z = jnp.asarray(rng.normal(size=4))
     numbers, step = jax.jit(TIED.values), 1e-5
     exact = jax.jacfwd(numbers)(z)
@@ -167,7 +167,9 @@ def test_slopes_of_tied_numbers_are_those_of_differences(rng):
 
 def test_the_given_numbers_are_where_a_study_starts():
     arm = ikjax.robots.puma560()
-    made = chosen(arm, {"a2": (0.2, 0.6), "d4": (0.3, 0.6), "tool": (-0.1, 0.2), "base.rz": (-3, 3)})
+    made = choose_parameters(
+        arm, {"a2": (0.2, 0.6), "d4": (0.3, 0.6), "tool": (-0.1, 0.2), "base.rz": (-3, 3)}
+    )
     values = made.values(jnp.asarray(made.coordinates(made.of(arm))))
     np.testing.assert_allclose(values, [0.4318, 0.4318] + [0] * 7, atol=1e-12)
     same = made.put(arm, values)
@@ -211,9 +213,9 @@ def test_what_cannot_be_moved_is_refused_by_name(vary, ties, message):
         ikjax.design(ikjax.robots.puma560(), np.eye(4), vary, ties=ties)
 
 
-def test_numbers_that_stand_still_count_in_a_tie():
+def test_fixed_numbers_count_in_a_tie():
     arm = ikjax.robots.puma560()
-    made = chosen(arm, {"a2": (0.1, 0.9)}, ["2 a2 = d4 + 0.2"])
+    made = choose_parameters(arm, {"a2": (0.1, 0.9)}, ["2 a2 = d4 + 0.2"])
     np.testing.assert_allclose(made.values(jnp.zeros(1)), [(0.4318 + 0.2) / 2], atol=1e-12)
 
 

@@ -8,13 +8,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import ikjax
-from ikjax.synthesis.ascent import Hill, Known
-from ikjax.synthesis.search_space import room
+from ikjax.synthesis.ascent import ConstantArm, PlacementPlan
+from ikjax.synthesis.search_space import search_space
 
 UPPER, FORE = 0.6, 0.3
 ARM = ikjax.robots.planar_2r(UPPER, FORE)
 BASIC = {"spacing": 0.1, "steps": 40, "starts": 4}
-"""The same shapes in all tests, for the sake of compiles."""
+"""The same shapes in all tests, so that few programs are compiled."""
 
 
 def points(xy, dtype=np.float64):
@@ -46,7 +46,7 @@ def test_every_candidate_is_counted_as_by_hand():
     np.testing.assert_array_equal(found.tried[..., 0], by_hand)
     assert 0.3 < by_hand.max() < 1
     assert found.share[0] >= by_hand.max()
-    # No place on a far finer grid is better by more than what lies between.
+    # No place on a much finer grid is better by more than one goal.
     fine = np.stack(np.meshgrid(*[np.linspace(-1.5, 1.5, 301)] * 2), -1)
     away = np.linalg.norm(fine[..., None, :] - xy, axis=-1)
     best = ((away <= UPPER + FORE) & (away >= UPPER - FORE)).mean(-1).max()
@@ -68,7 +68,7 @@ def test_what_is_returned_is_what_solve_says():
 
 
 def test_an_arm_stands_in_the_middle_of_a_ring():
-    # A room whose grid misses the middle.
+    # Bounds whose grid misses the middle.
     found = ikjax.place(ARM, ring((2.03, -1.04)), bounds={"x": (1, 3.1), "y": (-2.1, 0)}, **BASIC)
     np.testing.assert_allclose(found.base[0][:3, 3], (2.03, -1.04, 0), atol=2e-3)
     assert found.share[0] == 1 and found.worst_margin[0] > 0.297
@@ -78,7 +78,7 @@ def test_an_arm_stands_in_the_middle_of_a_ring():
 
 @pytest.mark.parametrize("rate", [0.3, 30.0])
 def test_polishing_never_makes_a_base_worse(rate, monkeypatch):
-    # At the greater rate it jumps about, and where it ends is no better than where it began.
+    # At the greater rate the ascent is unstable, and its end is no better than its start.
     monkeypatch.setattr("ikjax.synthesis.place.RATE", rate)
     for seed in range(4):
         found = ikjax.place(ARM, points(scattered(seed)), **BASIC)
@@ -105,12 +105,12 @@ def test_moved_goals_move_the_bases():
 def test_a_turn_matters_where_the_first_joint_has_limits():
     arm = dataclasses.replace(ARM, limits=np.array([[-0.5, 0.5], [0.1, 3]]))
     goals = points([[0.7, 0], [0.75, 0.1], [0.75, -0.1], [0.8, 0]] * 6)
-    pinned = {"bounds": {"x": (0, 0), "y": (0, 0)}, "turns": 8, **BASIC}
-    ahead = ikjax.place(arm, goals, **pinned)
+    fixed = {"bounds": {"x": (0, 0), "y": (0, 0)}, "turns": 8, **BASIC}
+    ahead = ikjax.place(arm, goals, **fixed)
     assert ahead.turns.shape == (8,) and 0 < (ahead.tried > 0).sum() < 4
-    behind = ikjax.place(arm, about_z(2.2) @ goals, **pinned)
+    behind = ikjax.place(arm, about_z(2.2) @ goals, **fixed)
     assert ahead.share[0] == behind.share[0] == 1
-    # The goals are as far from the fold anyhow for a range of turns.
+    # The distance of the goals from the fold is the same for a range of turns.
     np.testing.assert_allclose([ahead.worst_margin[0], behind.worst_margin[0]], 0.1, atol=1e-3)
     turn = ahead.base[0][:2, :2].T @ behind.base[0][:2, :2]
     assert abs(np.arctan2(turn[1, 0], turn[0, 0]) - 2.2) < 0.3
@@ -126,8 +126,8 @@ def test_where_nothing_is_reached_the_result_says_so():
 
 
 def test_float32_stands_where_float64_does():
-    still = BASIC | {"steps": 0}
-    wide, narrow = (ikjax.place(ARM, ring((1, 0)).astype(t), **still) for t in (np.float64, np.float32))
+    unpolished = BASIC | {"steps": 0}
+    wide, narrow = (ikjax.place(ARM, ring((1, 0)).astype(t), **unpolished) for t in (np.float64, np.float32))
     assert narrow.base.dtype == np.float32
     np.testing.assert_array_equal(narrow.tried, wide.tried)
     np.testing.assert_allclose(narrow.base[0], wide.base[0], atol=5e-3)
@@ -204,7 +204,7 @@ TURN_AND_TILT = {"bounds": {"tilt": (-0.6, 0.6)}, "turns": 6, "starts": 4, "step
 
 @pytest.mark.slow
 @pytest.mark.parametrize("move", [("turn", "tilt"), ("x", "z", "turn", "tilt")])
-def test_a_tilted_base_is_the_one_that_was_judged(move, costly_dtype):
+def test_a_tilted_base_is_the_one_that_was_evaluated(move, costly_dtype):
     arm = ikjax.robots.gx4_351s()
     # The first joint has limits, so that the turn counts, and goes on from half a turn.
     arm = dataclasses.replace(arm, limits=np.array([(-0.7, 0.7), *arm.limits[1:3], (-1.2, 1.5)]))
@@ -232,12 +232,12 @@ def test_a_tilted_base_is_the_one_that_was_judged(move, costly_dtype):
 
 
 def test_a_whole_turn_more_is_the_same_place_whatever_the_tilt():
-    given = room(ARM, np.zeros((1, 3)), 1.0, ("x", "turn", "tilt"), {}, None, 12, True)
+    space = search_space(ARM, np.zeros((1, 3)), 1.0, ("x", "turn", "tilt"), {}, None, 12, True)
     places = np.array([[0.1, 0, 0, 0.4, -0.2, 3.0], [0.1, 0, 0, 0.4, -0.2, 3.0 - 2 * np.pi]])
-    one, other = given.bases(places)
+    one, other = space.base_poses(places)
     np.testing.assert_allclose(one, other, atol=1e-14)
-    assert list(given.distinct(places, 2)) == [0]
+    assert list(space.distinct(places, 2)) == [0]
     # As polishing has it.
-    hill = Hill(Known(ARM), ("x", "rx", "ry", "rz"), True, 1)
-    climbed = hill.base(jnp.asarray(ARM.base), jnp.array([0.1, 0.4, -0.2, 3.0 + 2 * np.pi]))
-    np.testing.assert_allclose(climbed, one, atol=1e-14)
+    plan = PlacementPlan(ConstantArm(ARM), ("x", "rx", "ry", "rz"), True, 1)
+    polished = plan.moved_base(jnp.asarray(ARM.base), jnp.array([0.1, 0.4, -0.2, 3.0 + 2 * np.pi]))
+    np.testing.assert_allclose(polished, one, atol=1e-14)

@@ -1,2 +1,1 @@
-"""Which family an arm belongs to: facts about its axes, one rule a family, the first rule whose facts
-hold."""
+"""Which family an arm belongs to: facts about its axes, one rule for each family; the first that fits."""

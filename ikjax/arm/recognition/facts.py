@@ -1,14 +1,21 @@
-"""Facts about an arm's axes, each measured against a threshold."""
+"""Facts about an arm's axes (parallel, perpendicular, meeting, apart), each measured against a threshold.
 
+Joints and axes are counted from 1 in names and messages.
+"""
+
+import itertools
 from typing import NamedTuple
 
 import numpy as np
 
+from ikjax.arm.dh import link_frames, link_matrix
+
 
 class Check(NamedTuple):
-    """One fact a family asks for, and how far the arm is from it."""
+    """One fact that a family needs, and how far the arm is from it."""
 
     fact: str
+    """In words, with the unit of the deviation."""
     deviation: float
     holds: bool
     wanted: str = ""
@@ -16,29 +23,33 @@ class Check(NamedTuple):
 
 
 class Table(NamedTuple):
-    """Concrete twists, and lengths that are only promised while they are traced."""
+    """A standard DH table for the rules: its twists are concrete, its lengths may be traced."""
 
     kinds: str
     sin: np.ndarray
+    """(n,) sines of the twists."""
     cos: np.ndarray
+    """(n,) cosines of the twists."""
     a: np.ndarray
     d: np.ndarray
     theta: np.ndarray
     tool: np.ndarray
     """(3,) the tool point in the frame of the last link."""
     promised: bool
-    """The lengths are traced: `a` and `d` are not looked at, the family is taken at its word."""
+    """The lengths are traced: facts about `a` and `d` count as true, because the caller named the family."""
     tolerance: float
+    """How far a fact may be off: sines and cosines, and shares of the size."""
     up: int
     """+1 when axis 1 points up in the world the arm is built into, -1 when down."""
 
     @property
     def size(self) -> float:
-        """Rough reach of the arm [m], the scale of every length."""
+        """Sum of the table's lengths [m]: the unit of every length here."""
         return max(float(np.abs(self.a).sum() + np.abs(self.d).sum()), 1e-300)
 
     @property
     def at_most(self) -> str:
+        """The threshold, as text."""
         return f"<= {self.tolerance:.2g}"
 
     def perpendicular(self, i: int) -> Check:
@@ -72,12 +83,13 @@ class Table(NamedTuple):
         return Check(f"{fact}, share of the reach", off, holds, wanted)
 
     def axes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Directions and points (n, 3) of the joints' axes when all DH angles and slides are zero."""
+        """Directions and points, (n, 3) each, of the joints' axes when all DH angles and slides are zero."""
         frames = self.frames(-np.where(self.turns, self.theta, 0.0))
         return frames[:-1, :3, 2], frames[:-1, :3, 3]
 
     @property
     def turns(self) -> np.ndarray:
+        """(n,) whether each joint is revolute."""
         return np.array([kind == "R" for kind in self.kinds])
 
     def all_parallel(self, which: list[int]) -> Check:
@@ -88,7 +100,7 @@ class Table(NamedTuple):
         return Check(f"axes {names} parallel", off, off <= self.tolerance, self.at_most)
 
     def moves_in_space(self, point: np.ndarray) -> Check:
-        """The first three joints move a point of the frame after joint 3 in all directions."""
+        """The first three joints move a point, given in the frame after joint 3, in all directions."""
         size = self.size + float(np.linalg.norm(point))
         return self._dependence("the first three joints move the point in space", 3, point, size)
 
@@ -97,18 +109,22 @@ class Table(NamedTuple):
         return self._dependence("the joints move the tool freely", 6, np.zeros(3), self.size)
 
     def _dependence(self, what: str, count: int, point: np.ndarray, size: float) -> Check:
-        """Greatest determinant of the first joints' motions, over a few poses."""
+        """Whether the Jacobian of the first joints is regular somewhere: its largest determinant of eight."""
         if self.promised:
             return Check(f"{what}, promised", 0.0, True)
+        # A single random pose might be near a singularity of an arm that moves freely elsewhere.
         rng = np.random.default_rng(0)
-        worst = 0.0
+        largest = 0.0
         for _ in range(8):
             q = rng.uniform(-np.pi, np.pi, len(self.kinds))
-            worst = max(worst, abs(np.linalg.det(self._motions(q, count, point, size))))
-        return Check(f"{what}, greatest determinant", worst, worst > 1e-6, "> 1e-06")
+            largest = max(largest, abs(np.linalg.det(self._motions(q, count, point, size))))
+        return Check(f"{what}, greatest determinant", largest, largest > 1e-6, "> 1e-06")
 
     def _motions(self, q: np.ndarray, count: int, point: np.ndarray, size: float) -> np.ndarray:
-        """Columns of the Jacobian in units of the reach: of a point, and of its frame where count is 6."""
+        """(count, count) the Jacobian of a point in units of the size; with its rotation if count is 6.
+
+        Source: Spong, Robot Modeling and Control, equations (4.56)-(4.57).
+        """
         frames = self.frames(q)
         tip = (frames[count] @ np.append(point, 1))[:3]
         columns = []
@@ -119,17 +135,7 @@ class Table(NamedTuple):
         return np.stack(columns, axis=1)
 
     def frames(self, q: np.ndarray) -> np.ndarray:
-        """(n + 1, 4, 4) frames; slides in reaches."""
-        frames = [np.eye(4)]
-        for i, kind in enumerate(self.kinds):
-            turn, slide = (q[i], 0.0) if kind == "R" else (0.0, q[i] * self.size)
-            s, c = np.sin(self.theta[i] + turn), np.cos(self.theta[i] + turn)
-            sa, ca = self.sin[i], self.cos[i]
-            link = [
-                [c, -s * ca, s * sa, self.a[i] * c],
-                [s, c * ca, -c * sa, self.a[i] * s],
-                [0, sa, ca, self.d[i] + slide],
-                [0, 0, 0, 1],
-            ]
-            frames.append(frames[-1] @ np.array(link))
-        return np.stack(frames)
+        """(n + 1, 4, 4) the base and the frame after each link at q; slides are in units of the size."""
+        turns, slides = np.where(self.turns, q, 0.0), np.where(self.turns, 0.0, q * self.size)
+        rows = zip(self.theta + turns, self.d + slides, self.a, self.sin, self.cos, strict=True)
+        return link_frames(itertools.starmap(link_matrix, rows))

@@ -1,7 +1,7 @@
-"""Which numbers of an arm may move without leaving its family, found by moving them.
+"""Which parameters of an arm's DH table may change without leaving its family, by trying each.
 
-Numbers are named by column and joint, counted from 1, as in a printed table: "a2", "alpha4",
-"d6", "theta3". Nothing is assumed about a family: its facts are checked again on the numbers as moved.
+Parameters are named by column and joint, counted from 1, as in a printed table: "a2", "alpha4",
+"d6", "theta3". Nothing is assumed about a family: its facts are checked again on the changed table.
 """
 
 from collections.abc import Mapping
@@ -16,38 +16,42 @@ if TYPE_CHECKING:
 
 COLUMNS = ("a", "alpha", "d", "theta")
 STEP = 1e-2
-"""How far a number is moved to see whether it may: [rad], and as a share of the arm's size."""
+"""How far a parameter is changed for the trial: [rad], and as a share of the arm's size."""
 
 
 def free(arm: "Arm") -> tuple[str, ...]:
-    """Names of the numbers of the table that may move a little, one by one, and the family stays.
+    """Names of the parameters that may change a little, one at a time, without leaving the family.
 
     Raises:
         ValueError: An arm of no family, or one whose numbers are traced.
     """
-    kept = []
+    names = []
     for name in (f"{column}{i + 1}" for column in COLUMNS for i in range(arm.n)):
         value, step = number(arm, name), STEP * (1.0 if name[:-1] in ("alpha", "theta") else _size(arm))
-        if all(why_not(arm, {name: value + way * step}) is None for way in (-1, 1)):
-            kept.append(name)
-    return tuple(kept)
+        if all(why_not(arm, {name: value + sign * step}) is None for sign in (-1, 1)):
+            names.append(name)
+    return tuple(names)
 
 
 def number(arm: "Arm", name: str) -> float:
-    """The number of that name.
+    """The value of the parameter of that name.
 
     Raises:
-        ValueError: No such number.
+        ValueError: No such parameter.
     """
     column, i = _place(arm, name)
     return float(np.asarray(getattr(arm, column))[i])
 
 
 def why_not(arm: "Arm", changes: Mapping[str, float]) -> str | None:
-    """What keeps the arm out of its family when numbers of its table are changed; None if nothing does.
+    """Why the arm leaves its family when parameters are changed; None if it stays.
+
+    Args:
+        arm: An arm with a family.
+        changes: New values by name.
 
     Raises:
-        ValueError: A name that is none, an arm of no family.
+        ValueError: An unknown name, an arm of no family.
     """
     before = _verdict(arm, {})
     after = _verdict(arm, changes)
@@ -58,6 +62,7 @@ def why_not(arm: "Arm", changes: Mapping[str, float]) -> str | None:
 
 
 def _verdict(arm: "Arm", changes: Mapping[str, float]):
+    """What the rule of the arm's family says of the changed table."""
     if arm.family is None:
         raise ValueError(f"{arm.name} has no family that its numbers could leave: `explain(arm)` says why")
     numbers = {key: np.array(getattr(arm, key), float) for key in (*COLUMNS, "tool")}
@@ -69,6 +74,7 @@ def _verdict(arm: "Arm", changes: Mapping[str, float]):
 
 
 def _place(arm: "Arm", name: str) -> tuple[str, int]:
+    """The column of a parameter, and its row, counted from 0."""
     column = name.rstrip("0123456789")
     row = name[len(column) :]
     if column not in COLUMNS or not row or not 1 <= int(row) <= arm.n:

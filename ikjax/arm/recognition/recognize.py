@@ -1,4 +1,7 @@
-"""Which closed form an arm has: facts about its axes, measured once from concrete numbers."""
+"""Which closed form an arm has: its table is checked against the rule of each family, in order.
+
+The facts are measured once, from concrete numbers, when the arm is built.
+"""
 
 import re
 from typing import NamedTuple
@@ -14,17 +17,19 @@ from ikjax.core.tolerances import FACT
 
 
 def tolerance_of(dtype) -> float:
-    """The tolerance for numbers that have been rounded to a type."""
+    """The tolerance of facts for numbers that have been rounded to a type."""
     return max(FACT, 8 * float(np.finfo(dtype).eps))
 
 
 class Verdict(NamedTuple):
+    """The family of an arm, with what the arm stores of it; fields as in `Arm`."""
+
     family: str | None
     signs: tuple
     branches: tuple[str, ...]
     task: str
     evidence: dict[str, tuple[Check, ...]]
-    """Every family tried, with its checks, in order."""
+    """The checks of every family that was tried, in order."""
 
 
 NONE = Verdict(None, (), (), "pose", {})
@@ -41,10 +46,10 @@ def recognize(
     """The first family whose facts all hold.
 
     Args:
-        kinds: The joints.
+        kinds: The joints, "R" or "P" each.
         numbers: Standard DH columns `a, alpha, d`, and `theta` and `tool` where they are not zero and
             identity; lengths may be traced if `family` is given.
-        family: The only one to try.
+        family: The only family to try.
         up: +1 when axis 1 points up, -1 when down: what a branch calls up.
         tolerance: How far a fact may be off.
 
@@ -80,31 +85,31 @@ def recognize(
 
 
 def evidence(kinds: str, numbers: dict, family: str, tolerance: float) -> tuple[Check, ...]:
-    """What was checked for one family, whether it holds or not; arguments as in `recognize`."""
+    """The checks of one family, whether they hold or not; arguments as in `recognize`."""
     return tuple(judged(kinds, numbers, family, tolerance)[0])
 
 
 def judged(kinds: str, numbers: dict, family: str, tolerance: float) -> Judgement:
-    """What a family's rule says of a table, whether its facts hold or not; arguments as in `recognize`."""
+    """What the rule of a family says of a table, also if it does not fit; arguments as in `recognize`."""
     return RULES[family].judge(_table(kinds, numbers, 1, tolerance))
 
 
 def split_exactly(kinds: str, leaves: dict, verdict: Verdict) -> dict:
-    """The leaves, with the number made exact that keeps the family's equation from splitting.
+    """The leaves with the number made exact that alone keeps the family's equation from splitting.
 
-    What is taken from it goes into the correction of its link, so the arm stays the one that was given: a
-    quartic whose roots come in pairs closer than rounding would not tell them apart.
+    Without this the roots of the quartic would come in pairs that are closer than rounding. What the number
+    is changed by goes into the correction of its link, so that the arm stays the one that was given.
     """
     if verdict.family is None or any(is_traced(leaves[key]) for key in ("a", "alpha", "d", "correction")):
         return leaves
-    near = nearly_split(_table(kinds, leaves, 1, FACT), verdict.family)
-    if near is None:
+    change = nearly_split(_table(kinds, leaves, 1, FACT), verdict.family)
+    if change is None:
         return leaves
-    name, place, value = near
+    name, place, value = change
     column, off = np.array(leaves[name], float), np.zeros((len(kinds) + 1, 6))
     if leaves["correction"] is not None:
         off = np.array(leaves["correction"], float)
-    # Tx(a) Rx(alpha) is the exact link before a small shift along x, or turn about it.
+    # Tx(a) Rx(alpha) is that of the exact number, followed by a small shift along x or rotation about it.
     rest = np.zeros(6)
     rest[0 if name == "a" else 3] = column[place] - value
     off[place + 1] = twist_of(small_pose(rest) @ small_pose(off[place + 1]))
@@ -141,15 +146,15 @@ def _tool_point(numbers: dict) -> np.ndarray:
 
 
 def describe(checks: tuple[Check, ...]) -> str:
-    """What stands in the way, with its measured deviation."""
+    """The facts that do not hold, with their measured deviations."""
     failed = [c for c in checks if not c.holds]
     if len(failed) == 1 and np.isinf(failed[0].deviation):
         return failed[0].fact
     return "; ".join(f"{c.fact}: {c.deviation:.3g}, wanted {c.wanted}" for c in failed)
 
 
-def found(kinds: str, numbers: dict, tolerance: float = FACT) -> str:
-    """Which neighboring axes are parallel, perpendicular and meeting, in words."""
+def describe_axes(kinds: str, numbers: dict, tolerance: float = FACT) -> str:
+    """Which neighboring axes are parallel, perpendicular or meeting, in words."""
     alpha, a = np.asarray(numbers["alpha"], float), np.asarray(numbers["a"], float)
     size = max(float(np.abs(a).sum() + np.abs(np.asarray(numbers["d"], float)).sum()), 1e-300)
     words = []

@@ -9,11 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ikjax.arm.recognition import signs as named
 from ikjax.arm.recognition.facts import Check, Table
+from ikjax.arm.recognition.signs import NEARLY, PairSplit, RegionalSplit
 from ikjax.core.tolerances import NEARLY_SPLITS, SPLITS
 
 Judgement = tuple[list[Check], tuple, tuple[str, ...]]
-"""What was checked, what the kernel must know besides the numbers, and the names of the slots."""
+"""What was checked, the signs of the family (see `recognition.signs`), and the names of the slots."""
 
 
 def _sign(x: float) -> int:
@@ -40,7 +42,7 @@ def _spherical_wrist(t: Table) -> list[Check]:
     ]
 
 
-def _wrist_signs(t: Table) -> tuple[int, ...]:
+def _wrist_signs(t: Table) -> tuple[int, int, int]:
     square = int(max(abs(t.cos[3]), abs(t.cos[4])) <= t.tolerance)
     return _sign(t.sin[3]), _sign(t.sin[4]), square
 
@@ -53,7 +55,7 @@ def _ortho_parallel_wrist(t: Table) -> Judgement:
         t.apart("axes 2 and 3 apart", t.a[1]),
         t.apart("the wrist stands off axis 3", np.hypot(t.a[2], t.d[3] * t.sin[2])),
     ]
-    signs = (t.up, *map(_sign, (t.sin[0], t.cos[1])), *_wrist_signs(t))
+    signs = named.OrthoParallelWristSigns(t.up, _sign(t.sin[0]), _sign(t.cos[1]), *_wrist_signs(t))
     return checks, signs, _slots(SHOULDER, ELBOW, WRIST)
 
 
@@ -68,15 +70,16 @@ def _three_parallel(t: Table) -> Judgement:
         t.apart("axes 2 and 3 apart", t.a[1]),
         t.apart("axes 3 and 4 apart", t.a[2]),
     ]
-    signs = (t.up, *map(_sign, (t.sin[0], t.cos[1], t.cos[2], t.sin[3], t.sin[4])))
+    signs = named.ThreeParallelSigns(t.up, *map(_sign, (t.sin[0], t.cos[1], t.cos[2], t.sin[3], t.sin[4])))
     return checks, signs, _slots(SHOULDER, ELBOW, WRIST)
 
 
 def _pieper(t: Table) -> Judgement:
     point = np.array([0.0, 0.0, t.d[3]])
-    how = _split(t)
+    split = _split(t)
     checks = [*_spherical_wrist(t), t.moves_in_space(point)]
-    return checks, (how, *_wrist_signs(t)), _slots(*_regional_bits(t.kinds, how), WRIST)
+    signs = named.PieperSigns(split, *_wrist_signs(t))
+    return checks, signs, _slots(*_regional_bits(t.kinds, split), WRIST)
 
 
 def _from_the_tool(t: Table) -> Table:
@@ -98,59 +101,63 @@ def _pieper_reversed(t: Table) -> Judgement:
 
 
 def _position(t: Table) -> Judgement:
-    how = _split(t)
+    split = _split(t)
     checks = [t.moves_in_space(t.tool)]
-    return checks, (how,), _slots(*_regional_bits(t.kinds, how))
+    return checks, named.PositionSigns(split), _slots(*_regional_bits(t.kinds, split))
 
 
-def _deviations(t: Table) -> dict[str, float]:
+def _deviations(t: Table) -> dict[RegionalSplit, float]:
     """How far the equation that is left for joint 3 is from each form in which it splits."""
     kinds = t.kinds[:2]
     if kinds == "RR":
-        meet = {} if t.promised else {"meet": float(abs(t.a[0])) / t.size}
-        return {**meet, "parallel": float(abs(t.sin[0]))}
-    return {"slides": 0.0} if kinds == "PP" else {"square": float(abs(t.cos[0]))}
+        meet = {} if t.promised else {RegionalSplit.MEET: float(abs(t.a[0])) / t.size}
+        return {**meet, RegionalSplit.PARALLEL: float(abs(t.sin[0]))}
+    return {RegionalSplit.SLIDES: 0.0} if kinds == "PP" else {RegionalSplit.SQUARE: float(abs(t.cos[0]))}
 
 
-def _split(t: Table) -> str:
+def _split(t: Table) -> RegionalSplit:
     """How the equation that is left for joint 3 splits: see `solvers.steps.regional.three_joints`."""
     deviations = _deviations(t)
-    for how, off in deviations.items():
+    for split, off in deviations.items():
         if off <= t.tolerance:
-            return how
-    how = min(deviations, key=lambda key: deviations[key])
-    return f"nearly {how}" if deviations[how] <= NEARLY_SPLITS["nearly in float32"] else ""
+            return split
+    split = min(deviations, key=lambda key: deviations[key])
+    nearly = deviations[split] <= NEARLY_SPLITS["nearly in float32"]
+    return NEARLY[split] if nearly else RegionalSplit.NONE
 
 
 def nearly_split(t: Table, family: str) -> tuple[str, int, float] | None:
-    """The number of the table that keeps an equation from splitting by next to nothing: its column, its
-    place, and the value at which it does split."""
+    """The number of the table that alone keeps an equation from splitting, by very little.
+
+    Returns:
+        Its column, its row counted from 0, and the value at which the equation splits; or None.
+    """
     if family not in ("pieper", "pieper_reversed", "position"):
         return None
     place = 4 if family == "pieper_reversed" else 0
     deviations = _deviations(_from_the_tool(t) if place else t)
-    how = min(deviations, key=lambda key: deviations[key])
-    if not t.tolerance < deviations[how] <= SPLITS["regional"]:
+    split = min(deviations, key=lambda key: deviations[key])
+    if not t.tolerance < deviations[split] <= SPLITS["regional"]:
         return None
-    if how == "meet":
+    if split == RegionalSplit.MEET:
         return "a", place, 0.0
     quarter = float(np.round(np.arctan2(t.sin[place], t.cos[place]) / (np.pi / 2)))
     return "alpha", place, quarter * np.pi / 2
 
 
-def _regional_bits(kinds: str, how: str) -> list[tuple[str, str]]:
+def _regional_bits(kinds: str, split: RegionalSplit) -> list[tuple[str, str]]:
     second, third = ("j2+", "j2-"), ("j3+", "j3-")
     turning = kinds[2] == "R"
-    if how == "" or how.startswith("nearly"):
+    if split.is_full:
         quartic = turning or kinds[:2] == "RR"
         return [("rising", "falling"), ("low", "high")] if quartic else [third]
-    if how == "slides":
+    if split == RegionalSplit.SLIDES:
         return [third] if turning else []
-    return [second, third] if turning or how == "meet" else [second]
+    return [second, third] if turning or split == RegionalSplit.MEET else [second]
 
 
 def _along(t: Table, which: list[int]) -> tuple[int, ...]:
-    """Signs of axes, counted from 0, against the first of them."""
+    """Signs of axes, counted from 0, relative to the first of them."""
     along, _ = t.axes()
     return tuple(_sign(float(along[i] @ along[which[0]])) for i in which)
 
@@ -167,12 +174,16 @@ def _parallel_axes(t: Table) -> Judgement:
         apart = float(np.linalg.norm(np.cross(along[which[0]], between)))
         checks.append(t.apart(f"axes {i + 1} and {i + 2} apart", apart))
     off = _proportional(place, along, points) / t.size
-    bounds = {"exactly": t.tolerance, "within 1e-5": SPLITS["parallel_axes"], **NEARLY_SPLITS}
-    splits = next((how for how, most in bounds.items() if off <= most), "")
-    pairs = [("rising", "falling"), ("low", "high")]
-    if splits in ("exactly", "within 1e-5"):
-        pairs = [("b+", "b-"), ("a+", "a-")]
-    return checks, (place, splits, *_along(t, which)), _slots(("left", "right"), *pairs)
+    bounds = {
+        PairSplit.EXACTLY: t.tolerance,
+        PairSplit.WITHIN_1E_5: SPLITS["parallel_axes"],
+        PairSplit.NEARLY: NEARLY_SPLITS["nearly"],
+        PairSplit.NEARLY_IN_FLOAT32: NEARLY_SPLITS["nearly in float32"],
+    }
+    split = next((split for split, most in bounds.items() if off <= most), PairSplit.NONE)
+    pairs = [("b+", "b-"), ("a+", "a-")] if split.is_split else [("rising", "falling"), ("low", "high")]
+    signs = named.ParallelAxesSigns(place, split, *_along(t, which))
+    return checks, signs, _slots(("left", "right"), *pairs)
 
 
 def _proportional(place: int, along: np.ndarray, points: np.ndarray) -> float:
@@ -196,7 +207,7 @@ def _scara(t: Table) -> Judgement:
     for i, j in itertools.pairwise(turning):
         apart = float(np.linalg.norm(np.cross(along[0], points[j] - points[i])))
         checks.append(t.apart(f"axes {i + 1} and {j + 1} apart", apart))
-    signs = tuple(_sign(float(a @ along[turning[0]])) for a in along)
+    signs = named.ScaraSigns(*(_sign(float(a @ along[turning[0]])) for a in along))
     return checks, signs, _slots(("left", "right"))
 
 
@@ -206,7 +217,7 @@ def _turret(t: Table) -> Judgement:
     for i in (1, 2):
         apart = float(np.linalg.norm(np.cross(along[1], points[i + 1] - points[i])))
         checks.append(t.apart(f"axes {i + 1} and {i + 2} apart", apart))
-    return checks, _along(t, [1, 2, 3]), _slots(("left", "right"))
+    return checks, named.TurretSigns(*_along(t, [1, 2, 3])), _slots(("left", "right"))
 
 
 def _five_axis(t: Table) -> Judgement:
@@ -218,7 +229,7 @@ def _five_axis(t: Table) -> Judgement:
         t.apart("axes 2 and 3 apart", t.a[1]),
         t.apart("axes 3 and 4 apart", t.a[2]),
     ]
-    signs = (t.up, *map(_sign, (t.sin[0], t.cos[1], t.cos[2], t.sin[3])))
+    signs = named.FiveAxisSigns(t.up, *map(_sign, (t.sin[0], t.cos[1], t.cos[2], t.sin[3])))
     return checks, signs, _slots(SHOULDER, ELBOW)
 
 
@@ -245,7 +256,10 @@ def _planar(t: Table) -> Judgement:
         checks.append(Check("the slides in different directions, sine", off, off > 1e-3, "> 0.001"))
     pair = ("left", "right") if t.kinds in ("RR", "RRR") else ("long", "short")
     bits = [pair] if len(slides) < 2 else []
-    return checks, tuple(_sign(float(a @ up)) for a in along), _slots(*bits)
+    ways_up = [_sign(float(a @ up)) for a in along]
+    if len(t.kinds) == 2:
+        return checks, named.PlanarPositionSigns(*ways_up), _slots(*bits)
+    return checks, named.PlanarPoseSigns(*ways_up), _slots(*bits)
 
 
 class Rule(NamedTuple):

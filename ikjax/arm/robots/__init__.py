@@ -24,7 +24,13 @@ def names() -> tuple[str, ...]:
 
 
 def get(name: str) -> Arm:
-    """A robot of the catalogue by name.
+    """A robot of the catalogue by name, with its default lengths where it has free ones.
+
+    Args:
+        name: One of `names()`: "puma560", "ur5e", ...
+
+    Returns:
+        The arm; its leaves have JAX's own floating type (float64 when x64 is on).
 
     Raises:
         ValueError: No such name; the names are listed.
@@ -33,7 +39,13 @@ def get(name: str) -> Arm:
 
 
 def poses(name: str) -> dict[str, tuple[float, ...]]:
-    """The published poses of a robot, by name: its joints [rad, m], each within the joint limits.
+    """The published poses of a robot by name: joint values [rad, m], within the joint limits.
+
+    Args:
+        name: One of `names()`.
+
+    Returns:
+        (n,) joint values for each pose; empty where none is published.
 
     Raises:
         ValueError: No such name; the names are listed.

@@ -1,6 +1,7 @@
-"""Small arms with five turning joints, as their makers' files place them.
+"""Small arms with five revolute joints, as their makers' files place them.
 
-Each joint is given as in a URDF: its frame in that of the joint before [m], [rad], and its axis there.
+Each joint is given as in a URDF: its frame in that of the joint before, xyz [m] and rpy [rad], and its axis
+there.
 """
 
 import numpy as np
@@ -52,7 +53,7 @@ X, Y, Z = np.eye(3)
 def so101() -> Arm:
     """SO-101, the follower arm, to its gripper frame: its roll axis passes 0.18 mm beside its first.
 
-    The file's angles are rounded: the roll axis is 3.7e-6 rad off square, and stays so here.
+    The file's angles are rounded: the roll axis is 3.7e-6 rad off perpendicular, and stays so here.
 
     Source: TheRobotStudio/SO-ARM100, Simulation/SO101/so101_new_calib.urdf, commit 0aee1d0. The gripper frame
     is turned as in later versions of that file (`gripper_frame_joint`); in this one it stands at the same

@@ -1,4 +1,4 @@
-"""SCARA arms: two turns, a slide and a turn about parallel axes."""
+"""SCARA arms: four joints on parallel axes, three of them revolute and one prismatic."""
 
 import numpy as np
 

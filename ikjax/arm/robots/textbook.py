@@ -1,4 +1,4 @@
-"""Arms of the textbooks."""
+"""Arms from textbooks and lectures, with the tables that they print."""
 
 import numpy as np
 
@@ -68,7 +68,7 @@ def motoman_l3(l2: float = 0.4, l3: float = 0.3) -> Arm:
 # No pose: the only published one, Corke's qz, is all zeros, where the slide is short of its range.
 @robot()
 def stanford() -> Arm:
-    """The Stanford arm, RRPRRR: two turns, a slide, a spherical wrist.
+    """The Stanford arm, RRPRRR: two revolute joints, a prismatic one, a spherical wrist.
 
     Source: the table and limits of Corke, Robotics Toolbox for MATLAB, models/mdl_stanford.m, which cites
     Stanford AIM-177 for the lengths; he calls the range of the slide a guess.
@@ -107,7 +107,7 @@ def planar_3r(l1: float = 0.5, l2: float = 0.4, l3: float = 0.2) -> Arm:
 
 @robot(zero=(0, 0, 0))
 def planar_rpr(l3: float = 0.3) -> Arm:
-    """A turn, a telescope along it, a turn: x = S c1 + l3 c13, y = S s1 + l3 s13. Task "planar_pose".
+    """RPR, the slide along the first link: x = S c1 + l3 c13, y = S s1 + l3 s13. Task "planar_pose".
 
     The length [m] is free, the default is ours. Source: the lectures' slides on RPR arms.
     """
@@ -125,7 +125,7 @@ def planar_rpr(l3: float = 0.3) -> Arm:
 # At zero the slide is short of its range.
 @robot(stretch=(10, 0, 0))
 def planar_prr(l2: float = 7.0, l3: float = 5.0) -> Arm:
-    """A slide along y, then two links that point along y at zero: x = -l2 s2 - l3 s23. Task "planar_pose".
+    """PRR, a slide along y, then links that point along y at zero: x = -l2 s2 - l3 s23. Task "planar_pose".
 
     The lengths [m] and limits are those of the lectures' slides on PRR arms; stretched out it stands at
     (0, 22), the slides' first question.

@@ -1,6 +1,6 @@
-"""Joints at the end of a chain that look like a gripper's: by their names, or by how they open.
+"""Joints at the end of a chain that look like a gripper's, by their names or by their range.
 
-A guess, for a warning only.
+This is a guess, for a warning only.
 """
 
 import math
@@ -10,14 +10,14 @@ from typing import NamedTuple
 
 _FINGER = re.compile(r"jaw|finger|claw|knuckle|thumb|pinc|tong(?!ue)")
 _HAND = re.compile(r"grip|hand(?!le|rail)")
-# The joint that carries a gripper, and links that do not move against it.
+# The joint that carries a gripper, and links that do not move relative to it.
 _CARRIER = re.compile(r"wrist|roll|pitch|yaw|rotat|twist|flex|ankle|foot|fixed|static|base|palm|mount")
 
 _OPENS = math.radians(150), 0.2
-"""A gripper turns or slides by less [rad, m]."""
+"""The joints of a gripper have a smaller range [rad, m]."""
 
 _SLIDES = 0.1
-"""So does a finger without a telling name, which slides [m] at the end of five joints or more."""
+"""[m] So has a prismatic finger without a telling name, at the end of `_ENOUGH` joints or more."""
 
 _ENOUGH = 5
 
@@ -48,7 +48,7 @@ def gripper(chain: Sequence[Moved]) -> int:
 
 
 def _is_named(moved: Moved) -> bool:
-    # What a joint is called by both its links, it is of the second.
+    # A joint that is named by both its links, "a_to_b", belongs to the second.
     joint, link = moved.joint.lower().rpartition("_to_")[2], moved.link.lower()
     if _CARRIER.search(joint):
         return False
@@ -57,7 +57,7 @@ def _is_named(moved: Moved) -> bool:
 
 
 def _opens(moved: Moved) -> bool:
-    """From closed at about zero to one side, as no wrist does."""
+    """Whether a joint moves from about zero to one side only, by a small range, as no wrist does."""
     if _CARRIER.search(f"{moved.joint} {moved.link}".lower()):
         return False
     if moved.kind == "P":

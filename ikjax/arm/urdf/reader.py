@@ -1,9 +1,10 @@
 """URDF files: a strict reader of the one serial chain from a base link to a tip link.
 
 Kinematics only: meshes, masses, materials and plugins are skipped and never opened.
-The file is data from anywhere: nothing is fetched, sizes are bounded, and what is not plainly
-right is refused with file, line, element and reason. What hangs off the chain must still belong to
-one tree of named links and joints, but it may move in any way and its numbers are not read.
+The file may come from anywhere: nothing is fetched, sizes are bounded, and what is not plainly
+right is refused with file, line, element and reason. Branches off the chain must belong to
+the one tree of named links and joints, but their joints may be of any type and their numbers are not read.
+
 Source: the URDF specification, wiki.ros.org/urdf/XML/joint and wiki.ros.org/urdf/XML/link.
 """
 
@@ -22,12 +23,16 @@ from ikjax.core.tolerances import LONGEST_LENGTH
 from ikjax.core.warn import warn
 
 MAX_JOINTS = 32
+"""Of a chain. Longer ones are refused."""
+
 KINDS = {"revolute": "R", "continuous": "R", "prismatic": "P"}
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _WORD = re.compile(r"[^ \t\r\n]+")
 
 
 class UrdfJoint(NamedTuple):
+    """A moving joint of the chain."""
+
     name: str
     kind: str
     """ "R" or "P"."""
@@ -36,9 +41,9 @@ class UrdfJoint(NamedTuple):
     axis: np.ndarray
     """(3,) unit vector in the joint's frame."""
     lower: float
-    """Of the leader's value [rad or m], -inf where there is no limit."""
+    """Limit of the leader's value [rad or m], -inf where there is none."""
     upper: float
-    """[rad or m], inf where there is no limit."""
+    """The same, inf where there is none."""
     leader: str
     """The joint that it mimics, or itself."""
     factor: float
@@ -55,6 +60,11 @@ class UrdfChain(NamedTuple):
     tool: np.ndarray
     """(4, 4) the tip link in the child link of the last moving joint."""
 
+    @property
+    def motors(self) -> tuple[str, ...]:
+        """Names of the joints that mimic no other, from base to tip."""
+        return tuple(joint.name for joint in self.joints if joint.leader == joint.name)
+
 
 def read_chain(
     source: str | bytes | os.PathLike, base: str | None = None, tip: str | None = None
@@ -67,7 +77,7 @@ def read_chain(
         tip: Name of the last link, below `base`; by default the one link there without a child.
 
     Warns:
-        Where a turning joint has no limits, where an axis has no unit length, and where the last joints
+        Where a revolute joint has no limits, where an axis has no unit length, and where the last joints
         look like a gripper's.
 
     Raises:
@@ -76,7 +86,7 @@ def read_chain(
         OSError: The file cannot be read.
     """
     robot, links, named = parse(*load(source))
-    tree = _grow(robot, links, named.values())
+    tree = _build_tree(robot, links, named.values())
     base, path = _path(tree, base, tip)
     names = {joint.element.attributes.get("name"): joint for joint in path if joint.kind != "fixed"}
     moving: list[_Joint] = []
@@ -100,19 +110,19 @@ def read_chain(
     if not 1 <= len(joints) <= MAX_JOINTS:
         count = f"{len(joints)} moving joints, more than {MAX_JOINTS}," if joints else "no moving joint"
         raise tree.robot.error(f"{count} between links {quote(base)} and {quote(end)}")
-    _say_gripper(moving, joints)
+    _warn_of_gripper(moving, joints)
     return UrdfChain(tree.robot.attributes.get("name") or "robot", base, end, tuple(joints), pose)
 
 
 def axes_of(chain: UrdfChain) -> tuple[Axes, np.ndarray | None, list[tuple[float, float]]]:
-    """Where a chain's axes are, one for each joint that leads, and what drives them.
+    """A chain's axes, one for each motor, and how the motors drive them.
 
     Returns:
-        The axes, (n, n) from motor values to joint values, None where every joint has its own motor, and
+        The axes; (n, n) from motor values to joint values, or None where every joint has its own motor; and
         the limits of the motors.
 
     Raises:
-        ArmFileError: Joints that mimic others, where it takes more joints than motors to say so.
+        ArmFileError: Joints that mimic others in a way that needs more joints than motors.
     """
     frame, along, points = np.eye(4), [], []
     for joint in chain.joints:
@@ -121,8 +131,8 @@ def axes_of(chain: UrdfChain) -> tuple[Axes, np.ndarray | None, list[tuple[float
         points.append(frame[:3, 3])
     kinds = "".join(joint.kind for joint in chain.joints)
     given = Axes(kinds, np.array(along), np.array(points), frame @ chain.tool)
-    motors = [joint.name for joint in chain.joints if joint.leader == joint.name]
-    limits = [_together(chain, motor) for motor in motors]
+    motors = chain.motors
+    limits = [_motor_limits(chain, motor) for motor in motors]
     if len(motors) == len(kinds):
         return given, None, limits
     rows = np.array([[joint.factor * (joint.leader == motor) for motor in motors] for joint in chain.joints])
@@ -137,11 +147,12 @@ def axes_of(chain: UrdfChain) -> tuple[Axes, np.ndarray | None, list[tuple[float
     return given, rows, limits
 
 
-def _together(chain: UrdfChain, motor: str) -> tuple[float, float]:
-    """The limits of a joint and of those that mimic it; the latter's are often left at 0 and 0."""
-    leads = next(joint for joint in chain.joints if joint.name == motor)
-    lower, upper = leads.lower, leads.upper
+def _motor_limits(chain: UrdfChain, motor: str) -> tuple[float, float]:
+    """The values that a joint and those that mimic it all allow."""
+    leader = next(joint for joint in chain.joints if joint.name == motor)
+    lower, upper = leader.lower, leader.upper
     for joint in chain.joints:
+        # Files often leave the limits of joints that mimic others at 0 and 0: those count as none.
         if joint.leader == motor and joint.lower < joint.upper:
             lower, upper = max(lower, joint.lower), min(upper, joint.upper)
     if lower > upper:
@@ -152,6 +163,8 @@ def _together(chain: UrdfChain, motor: str) -> tuple[float, float]:
 
 
 class _Joint(NamedTuple):
+    """A joint of the file, with its type and the names of its links."""
+
     element: Element
     kind: str
     parent: str
@@ -159,6 +172,8 @@ class _Joint(NamedTuple):
 
 
 class _Tree(NamedTuple):
+    """The links and joints of a file."""
+
     robot: Element
     above: dict[str, _Joint]
     """The joint that carries each link."""
@@ -166,7 +181,8 @@ class _Tree(NamedTuple):
     """The joints that each link carries."""
 
 
-def _grow(robot: Element, links: Iterable[str], joints: Iterable[Element]) -> _Tree:
+def _build_tree(robot: Element, links: Iterable[str], joints: Iterable[Element]) -> _Tree:
+    """Every link with the joints at it; a link with two parents is refused, a cycle only by `_root`."""
     tree = _Tree(robot, {}, {link: [] for link in links})
     if not tree.below:
         raise robot.error("no links")
@@ -181,6 +197,7 @@ def _grow(robot: Element, links: Iterable[str], joints: Iterable[Element]) -> _T
 
 
 def _end(joint: Element, side: str, links: Iterable[str]) -> str:
+    """The name of a joint's "parent" or "child" link."""
     if side not in joint.children:
         raise joint.error(f"<{side}> is missing")
     name = joint.children[side].required("link")
@@ -206,13 +223,13 @@ def _root(tree: _Tree) -> str:
 
 def _walk(tree: _Tree, start: str) -> dict[str, int]:
     """A link and all below it, each with the number of moving joints on the way."""
-    found, todo = {start: 0}, [start]
+    counts, todo = {start: 0}, [start]
     while todo:
         link = todo.pop()
         for joint in tree.below[link]:
-            found[joint.child] = found[link] + (joint.kind != "fixed")
+            counts[joint.child] = counts[link] + (joint.kind != "fixed")
             todo.append(joint.child)
-    return found
+    return counts
 
 
 def _path(tree: _Tree, base: str | None, tip: str | None) -> tuple[str, list[_Joint]]:
@@ -222,14 +239,14 @@ def _path(tree: _Tree, base: str | None, tip: str | None) -> tuple[str, list[_Jo
     for key, name in {"base": base, "tip": tip}.items():
         if name is not None and name not in tree.below:
             raise tree.robot.error(f"{key}={quote(name)} is none of {listing(map(quote, tree.below))}")
-    found = _walk(tree, base)
-    leaves = [link for link in found if not tree.below[link]]
+    counts = _walk(tree, base)
+    leaves = [link for link in counts if not tree.below[link]]
     if tip is None and len(leaves) > 1:
-        listed = listing(f"{quote(leaf)} ({found[leaf]} moving joints)" for leaf in leaves)
+        listed = listing(f"{quote(leaf)} ({counts[leaf]} moving joints)" for leaf in leaves)
         reason = f"{len(leaves)} leaf links below {quote(base)}, give one as tip=: {listed}"
         raise tree.robot.error(reason)
     link = leaves[0] if tip is None else tip
-    if link not in found:
+    if link not in counts:
         raise tree.robot.error(f"tip link {quote(link)} is not below base link {quote(base)}")
     path: list[_Joint] = []
     while link != base:
@@ -245,7 +262,7 @@ def _supported(joint: _Joint) -> _Joint:
 
 
 def _leader(joint: _Joint, chain: dict[str | None, _Joint]) -> tuple[str, float, float]:
-    """The joint that drives this one, maybe itself, and the factor and offset of its value."""
+    """The joint that this one mimics in the end, or itself, and the factor and offset to that one's value."""
     factor, offset, seen = 1.0, 0.0, set()
     while "mimic" in joint.element.children:
         mimic = joint.element.children["mimic"]
@@ -278,8 +295,8 @@ def _moved(kind: str, axis: np.ndarray, value: float) -> np.ndarray:
     return pose
 
 
-def _say_gripper(path: list[_Joint], joints: list[UrdfJoint]) -> None:
-    """Warn where the chain ends in what is probably no part of the arm."""
+def _warn_of_gripper(path: list[_Joint], joints: list[UrdfJoint]) -> None:
+    """Warn where the last joints are probably a gripper's and no part of the arm."""
     moved = [Moved(j.name, at.child, j.kind, j.lower, j.upper) for at, j in zip(path, joints, strict=True)]
     count = gripper(moved)
     if count:
@@ -298,13 +315,13 @@ def _numbers(element: Element, key: str, default: str) -> list[float]:
     values = [float(word) for word in words] if plain else []
     if not plain or not np.isfinite(values).all():
         hint = ": expand xacro first" if is_xacro(text) else ""
-        wish = f"{key} of <{element.tag}> must hold {wanted} plain, finite decimal number{'s'[: wanted - 1]}"
-        raise element.error(f"{wish}, got {quote(text)}{hint}")
+        rule = f"{key} of <{element.tag}> must hold {wanted} plain, finite decimal number{'s'[: wanted - 1]}"
+        raise element.error(f"{rule}, got {quote(text)}{hint}")
     return values
 
 
 def rotation_of(roll: float, pitch: float, yaw: float) -> np.ndarray:
-    """Rz(yaw) Ry(pitch) Rx(roll): turns [rad] about the fixed x, then y, then z."""
+    """(3, 3) Rz(yaw) Ry(pitch) Rx(roll): rotations [rad] about the fixed x, then y, then z."""
     (sr, sp, sy), (cr, cp, cy) = np.sin([roll, pitch, yaw]), np.cos([roll, pitch, yaw])
     return np.array(
         [
@@ -337,7 +354,7 @@ def _axis(joint: _Joint) -> np.ndarray:
     largest = float(np.abs(axis).max())
     if largest == 0:
         raise element.error("axis must not be zero")
-    # The largest entry first, so that no square overflows or vanishes.
+    # The largest entry is divided out first, so that no square overflows or underflows.
     unit = axis / largest
     length = float(np.linalg.norm(unit))
     if abs(largest * length - 1) > 1e-6:
@@ -346,6 +363,7 @@ def _axis(joint: _Joint) -> np.ndarray:
 
 
 def _limits(joint: _Joint) -> tuple[float, float]:
+    """The joint's own limits [rad or m], infinite where it has none."""
     if joint.kind == "continuous":
         return -np.inf, np.inf
     element = joint.element.children.get("limit")

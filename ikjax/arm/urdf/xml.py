@@ -1,7 +1,8 @@
-"""XML from anywhere as a tree of the elements that a robot's kinematics are made of.
+"""Reading XML from an untrusted source into the elements of a robot's kinematics: links and joints.
 
 Sizes are bounded, nothing is fetched, and what is not plain XML is refused with file,
 line, element and reason.
+
 Source: the XML specification, w3.org/TR/xml; defusedxml for the attacks.
 """
 
@@ -16,9 +17,10 @@ MAX_BYTES = 16 * 2**20
 MAX_ELEMENTS = 100_000
 MAX_DEPTH = 64
 PIECE = 2**18
+"""Characters that the parser is given at a time."""
 XINCLUDE = "http://www.w3.org/2001/XInclude"
 XACRO_DEFINES = ("property", "arg", "macro")
-"""Elements of xacro that change nothing where nothing uses them."""
+"""Elements of xacro that define something, and change nothing by themselves."""
 _DECLARED = re.compile(r"<\?xml\s[^>]*?\bencoding\s*=\s*[\"']([^\"']*)")
 
 
@@ -27,7 +29,7 @@ class ArmFileError(ValueError):
 
 
 def show(text: str, most: int | None = 80) -> str:
-    """Safe to print: no control characters, no endless lines."""
+    """Text that is safe to print: control characters escaped, long lines cut."""
     return repr(text if most is None or len(text) <= most else text[:most] + "...")[1:-1]
 
 
@@ -41,7 +43,7 @@ def listing(names: Iterable[str]) -> str:
 
 
 def file_error(file: str, line: int, label: str, reason: str) -> ArmFileError:
-    # Of a path the end counts.
+    # A path is not cut: its end says which file it is.
     place = show(file, None) + (f":{line}" if line else "")
     return ArmFileError(": ".join(part for part in (place, label, reason) if part))
 
@@ -77,7 +79,7 @@ def load(source: str | bytes | os.PathLike) -> tuple[str, str]:
     if isinstance(source, bytes):
         return "<string>", _decode("<string>", source)
     if isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<"):
-        # Half a surrogate pair passes here, to be refused like any other broken UTF-8.
+        # Half a surrogate pair passes here, and is refused with other broken UTF-8.
         return "<string>", _decode("<string>", source.encode("utf-8", "surrogatepass"))
     name = os.fsdecode(source)
     with open(name, "rb") as file:
@@ -102,7 +104,10 @@ def _decode(file: str, data: bytes) -> str:
 
 
 class _Collector(ContentHandler):
-    """Takes the parser's events, counts them, and keeps links and joints: no deep tree to recurse in."""
+    """Collects links and joints from the parser's events, and counts all elements.
+
+    It builds no deep tree that one would have to recurse into.
+    """
 
     robot: Element
     space: str
@@ -125,23 +130,24 @@ class _Collector(ContentHandler):
         elif space != self.space:
             pass  # of another namespace, which the kinematics do not use
         elif depth == 1 and tag in self.named:
-            # A joint off the chain may have no name, and is found by its place.
+            # A joint off the chain may have no name: its number is its key.
             nameless = tag == "joint" and not attributes.get("name")
             key = f"\0{self.count}" if nameless else element.required("name")
-            self._keep(self.named[tag], key, element)
+            self._add(self.named[tag], key, element)
         elif depth == 2 and self.open[1].tag == "joint":
-            self._keep(self.open[1].children, tag, element)
+            self._add(self.open[1].children, tag, element)
 
     def endElement(self, tag: str) -> None:
         self.open.pop()
 
-    def _keep(self, found: dict[str, Element], key: str, element: Element) -> None:
-        first = found.setdefault(key, element)
+    def _add(self, elements: dict[str, Element], key: str, element: Element) -> None:
+        """Add an element under a key that no other has."""
+        first = elements.setdefault(key, element)
         if first is not element:
             raise element.error(f"duplicate <{show(element.tag)}>, the first is on line {first.line}")
 
     def _check(self, element: Element) -> str:
-        """The element's namespace, if it may stand where it does."""
+        """The element's namespace; an element that is not allowed where it is raises."""
         self.count += 1
         if self.count > MAX_ELEMENTS:
             raise element.error(f"the file holds more than {MAX_ELEMENTS} elements")
@@ -170,7 +176,7 @@ class _Collector(ContentHandler):
 
     def _space(self, key: str) -> str:
         """The namespace that a prefix stands for here."""
-        # Looked up here, because a parser that does it copies a long name for every attribute.
+        # Looked up here: a parser that resolves namespaces copies a long name for every attribute.
         return next((x.attributes[key] for x in reversed(self.open) if key in x.attributes), "")
 
 
@@ -185,7 +191,7 @@ def parse(file: str, text: str) -> tuple[Element, dict[str, Element], dict[str, 
     collector = _Collector(file, parser.getLineNumber)
     parser.setContentHandler(collector)
     try:
-        # In pieces, because after a refusal the parser still runs to the end of what it was given.
+        # In pieces, because after an error the parser still runs to the end of what it was given.
         for start in range(0, len(text) + 1, PIECE):
             parser.feed(text[start : start + PIECE])
         parser.close()

@@ -1,7 +1,7 @@
-"""The words of a sweep's loop: numbers of goals added up by bits, by whole numbers, or by the greatest.
+"""The accumulators of a sweep's loop: numbers of goals are reduced by bits, whole-number sums, or extremes.
 
-Whatever happens to them here gives the same bits in any order. Sums of whole numbers travel
-as two halves, because there are no 64-bit integers where x64 is off.
+All of these reductions are exact, so the result has the same bits in any order. A sum of whole numbers is
+stored as two halves of 16 bits each, because there are no 64-bit integers where x64 is off.
 """
 
 from collections.abc import Callable
@@ -11,173 +11,209 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ikjax.maps.kernel.sample import DOUBT, GROUP, Goal, Lane
+from ikjax.maps.kernel.sample import DOUBT, GOALS_PER_WORD, Channel, Goal
 
-WORD = 31
-"""Bits of a word of counts."""
+COUNT_BITS = 31
+"""Bits of an int32 that counts may use; the sign bit stays clear."""
 
 
-class Word(NamedTuple):
-    """Lanes that share one loop."""
+class Accumulator(NamedTuple):
+    """Channels whose numbers are reduced as one number of each goal.
+
+    Only channels of "count" share an accumulator; any other channel has one of its own.
+    """
 
     names: tuple[str, ...]
-    lanes: tuple[Lane, ...]
+    """Names of its channels."""
+    channels: tuple[Channel, ...]
     widths: tuple[int, ...]
-    """Of counts: the bits of each."""
+    """Of counts: the bits of each channel, the first lowest. Else empty."""
 
     @property
     def reduce(self) -> str:
-        return self.lanes[0].reduce
+        """The reduction of its channels; they all have the same."""
+        return self.channels[0].reduce
 
-    def kind(self, dtype) -> np.dtype:
-        """Type of its numbers, where the kernel's is `dtype`."""
+    def number_type(self, dtype: np.dtype) -> np.dtype:
+        """Type of its numbers, where the kernel's floating type is `dtype`."""
         return np.dtype({"count": np.int32, "sum": np.int32, "bits": np.uint32}.get(self.reduce, dtype))
 
 
-class Group(NamedTuple):
-    """Words that share one solution of every goal."""
+class Pass(NamedTuple):
+    """Accumulators that share one solution of every goal: one loop over all goals."""
 
-    words: tuple[Word, ...]
+    accumulators: tuple[Accumulator, ...]
     pinned: bool
-    """Every value is kept: joints are needed, or the kernel is too large for one loop."""
-    coded: bool
-    """Its words look at flags alone, and these travel as one number."""
-    doubt: str | None = None
-    """The lane of goals that are left out of what is added up."""
+    """Every value of the kernel is pinned: joints are needed, or it is too large for one fused loop."""
+    packs_flags: bool
+    """Its channels look at flags alone, and all flags of a goal are read from one number."""
+    doubt_name: str | None = None
+    """Name of the channel that marks the goals left out of additive channels; None if none is left out."""
 
 
-def groups_of(lanes: dict[str, Lane], rolls: int, small: bool, certify: bool = False) -> list[Group]:
-    """The loops that lanes need.
+def passes_for(channels: dict[str, Channel], rolls: int, small: bool, certify: bool = False) -> list[Pass]:
+    """The passes over all goals that channels need.
+
+    Channels that look at flags share one pass, channels that need joints another. Of a small kernel, each
+    channel that needs margins alone has a pass of its own: a fused loop has one result.
 
     Args:
-        lanes: By name.
-        rolls: Of each goal.
-        small: The arm's kernel can be one fused loop.
-        certify: Leave doubtful goals out of what is added up, and say which they are.
+        channels: By name.
+        rolls: Rolls of each goal, at least 1.
+        small: The arm's kernel can be one fused loop (`ik.inline.is_small`).
+        certify: Leave doubtful goals out of additive channels, and mark them in a channel of bits.
     """
-    flags, joints, apart = {}, {}, []
-    for name, lane in lanes.items():
-        if lane.pinned or not small:
-            joints[name] = lane
-        elif lane.reduce in ("count", "bits"):
-            flags[name] = lane
+    flag_channels, joint_channels, alone = {}, {}, []
+    for name, channel in channels.items():
+        if channel.pinned or not small:
+            joint_channels[name] = channel
+        elif channel.reduce in ("count", "bits"):
+            flag_channels[name] = channel
         else:
-            apart.append(Group((Word((name,), (lane,), ()),), pinned=False, coded=False))
-    groups: list[Group] = []
-    for members, pinned in ((flags, False), (joints, True)):
-        doubt = None
-        if certify and any(lane.added for lane in members.values()):
-            doubt = f"{DOUBT}.{len(groups)}"
-            members = members | {doubt: Lane("bits", Goal.doubt)}
-        words = tuple(words_of(members, rolls))
-        # One word alone is cheaper without the number.
-        groups += [Group(words, pinned, not pinned and len(words) > 1, doubt)] if words else []
-    return groups + apart
+            alone.append(Pass((Accumulator((name,), (channel,), ()),), pinned=False, packs_flags=False))
+    passes: list[Pass] = []
+    for members, pinned in ((flag_channels, False), (joint_channels, True)):
+        doubt_name = None
+        if certify and any(channel.is_additive for channel in members.values()):
+            doubt_name = f"{DOUBT}.{len(passes)}"
+            members = members | {doubt_name: Channel("bits", Goal.doubt)}
+        accumulators = tuple(accumulators_for(members, rolls))
+        # One accumulator alone is cheaper without the packed number.
+        packs_flags = not pinned and len(accumulators) > 1
+        passes += [Pass(accumulators, pinned, packs_flags, doubt_name)] if accumulators else []
+    return passes + alone
 
 
-def words_of(lanes: dict[str, Lane], rolls: int) -> list[Word]:
-    """Lanes packed into words."""
-    words: list[Word] = []
-    for name, lane in lanes.items():
-        if lane.reduce != "count":
-            words.append(Word((name,), (lane,), ()))
+def accumulators_for(channels: dict[str, Channel], rolls: int) -> list[Accumulator]:
+    """Channels packed into accumulators: counts side by side while their bits fit one word.
+
+    The width of a count is that of the greatest sum over `GOALS_PER_WORD` goals with all their rolls.
+    """
+    accumulators: list[Accumulator] = []
+    for name, channel in channels.items():
+        if channel.reduce != "count":
+            accumulators.append(Accumulator((name,), (channel,), ()))
             continue
-        most = lane.most if lane.any_roll else lane.most * rolls
-        width = (GROUP * most).bit_length()
-        last = words[-1] if words else None
-        if last is not None and last.reduce == "count" and sum(last.widths) + width <= WORD:
-            words[-1] = Word((*last.names, name), (*last.lanes, lane), (*last.widths, width))
+        greatest = channel.max_per_goal if channel.any_roll else channel.max_per_goal * rolls
+        width = (GOALS_PER_WORD * greatest).bit_length()
+        last = accumulators[-1] if accumulators else None
+        if last is not None and last.reduce == "count" and sum(last.widths) + width <= COUNT_BITS:
+            accumulators[-1] = Accumulator(
+                (*last.names, name), (*last.channels, channel), (*last.widths, width)
+            )
         else:
-            words.append(Word((name,), (lane,), (width,)))
-    return words
+            accumulators.append(Accumulator((name,), (channel,), (width,)))
+    return accumulators
 
 
-def value_of(word: Word, goal: Goal, dtype) -> jax.Array:
-    """The word's number of each goal."""
-    if word.reduce != "count":
-        return jnp.broadcast_to(word.lanes[0].value(goal), goal.shape).astype(word.kind(dtype))
-    code, shift = jnp.zeros(goal.shape, jnp.int32), 0
-    for lane, width in zip(word.lanes, word.widths, strict=True):
-        code, shift = code + (lane.value(goal) << shift), shift + width
-    return code
+def value_per_goal(accumulator: Accumulator, goal: Goal, dtype: np.dtype) -> jax.Array:
+    """The accumulator's number of each goal at one roll, (positions, orientations)."""
+    if accumulator.reduce != "count":
+        value = jnp.broadcast_to(accumulator.channels[0].value(goal), goal.shape)
+        return value.astype(accumulator.number_type(dtype))
+    packed, shift = jnp.zeros(goal.shape, jnp.int32), 0
+    for channel, width in zip(accumulator.channels, accumulator.widths, strict=True):
+        packed, shift = packed + (channel.value(goal) << shift), shift + width
+    return packed
 
 
-def over_rolls(word: Word, total: jax.Array, value: jax.Array) -> jax.Array:
-    """Numbers of a goal at two rolls in one."""
-    if word.reduce in ("max", "min"):
-        return (jnp.maximum if word.reduce == "max" else jnp.minimum)(total, value)
-    if word.reduce == "bits":
+def combine_rolls(accumulator: Accumulator, total: jax.Array, value: jax.Array) -> jax.Array:
+    """The number of each goal over earlier rolls, `total`, with that at one more roll, `value`."""
+    if accumulator.reduce in ("max", "min"):
+        return (jnp.maximum if accumulator.reduce == "max" else jnp.minimum)(total, value)
+    if accumulator.reduce == "bits":
         return total | value
-    if word.reduce == "sum":
+    if accumulator.reduce == "sum":
         return total + value
-    added, shift = 0, 0
-    for lane, width in zip(word.lanes, word.widths, strict=True):
-        added |= 0 if lane.any_roll else ((1 << width) - 1) << shift
+    # Of packed counts, some fields are added and the others joined by "or".
+    added_fields, shift = 0, 0
+    for channel, width in zip(accumulator.channels, accumulator.widths, strict=True):
+        added_fields |= 0 if channel.any_roll else ((1 << width) - 1) << shift
         shift += width
-    counts = jnp.int32(added)
-    return ((total & counts) + (value & counts)) | ((total | value) & ~counts)
+    added = jnp.int32(added_fields)
+    return ((total & added) + (value & added)) | ((total | value) & ~added)
 
 
-def without_doubtful(group: Group, values: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
-    """The same numbers, of doubtful goals nothing where numbers are added up."""
-    if group.doubt is None:
+def drop_doubtful(this_pass: Pass, values: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+    """The number of each goal, one array an accumulator; of doubtful goals zero in additive channels."""
+    if this_pass.doubt_name is None:
         return values
-    found = list(zip(group.words, values, strict=True))
-    out = next(value for word, value in found if group.doubt in word.names) == 1
-    keeps = [group.doubt in word.names or not word.lanes[0].added for word, _ in found]
+    pairs = list(zip(this_pass.accumulators, values, strict=True))
+    doubtful = next(value for acc, value in pairs if this_pass.doubt_name in acc.names) == 1
+    unchanged = [this_pass.doubt_name in acc.names or not acc.channels[0].is_additive for acc, _ in pairs]
     return tuple(
-        value if keep else jnp.where(out, blank(word, (), value.dtype), value)
-        for keep, (word, value) in zip(keeps, found, strict=True)
+        value if keep else jnp.where(doubtful, neutral_values(acc, (), value.dtype), value)
+        for keep, (acc, value) in zip(unchanged, pairs, strict=True)
     )
 
 
-def reduced(word: Word, value: jax.Array, real: jax.Array | None) -> jax.Array:
-    """Totals of one tile, (positions, k); None where all of it is real."""
+def reduce_tile(accumulator: Accumulator, value: jax.Array, real: jax.Array | None) -> jax.Array:
+    """Results of one tile for each position.
+
+    Args:
+        accumulator: Says which reduction.
+        value: The number of each goal, (positions, orientations); their number is a multiple of 32.
+        real: Which orientations exist, bool (1, orientations); None where all of them do.
+
+    Returns:
+        (positions, k): one column for "max" and "min", the upper and lower 16 bits of "sum", one column for
+        each channel of "count", one word for every 32 orientations of "bits".
+    """
     if real is not None:
-        value = jnp.where(real, value, blank(word, (), value.dtype))
-    if word.reduce in ("max", "min"):
-        return (value.max(-1) if word.reduce == "max" else value.min(-1))[:, None]
-    groups = value.reshape(value.shape[0], -1, GROUP)
-    if word.reduce == "bits":
-        bit = jnp.arange(GROUP, dtype=jnp.uint32).reshape(1, 1, GROUP)
-        return (groups << bit).sum(-1, dtype=jnp.uint32)
-    sums = groups.sum(-1, dtype=jnp.int32)
-    if word.reduce == "sum":
+        value = jnp.where(real, value, neutral_values(accumulator, (), value.dtype))
+    if accumulator.reduce in ("max", "min"):
+        return (value.max(-1) if accumulator.reduce == "max" else value.min(-1))[:, None]
+    words = value.reshape(value.shape[0], -1, GOALS_PER_WORD)
+    if accumulator.reduce == "bits":
+        bit = jnp.arange(GOALS_PER_WORD, dtype=jnp.uint32).reshape(1, 1, GOALS_PER_WORD)
+        return (words << bit).sum(-1, dtype=jnp.uint32)
+    sums = words.sum(-1, dtype=jnp.int32)
+    if accumulator.reduce == "sum":
         parts = [sums >> 16, sums & 0xFFFF]
     else:
         parts, shift = [], 0
-        for width in word.widths:
+        for width in accumulator.widths:
             parts.append(sums >> shift & ((1 << width) - 1))
             shift += width
     return jnp.stack([part.sum(-1, dtype=jnp.int32) for part in parts], axis=-1)
 
 
-def start(word: Word, rows: int, orientations: int, dtype) -> jax.Array:
-    columns = {"max": 1, "min": 1, "sum": 2, "bits": orientations // GROUP}
-    return blank(word, (rows, columns.get(word.reduce, len(word.lanes))), dtype)
+def empty_results(accumulator: Accumulator, rows: int, orientations: int, dtype: np.dtype) -> jax.Array:
+    """Results before the first goal, (rows, k) with the columns of `reduce_tile`."""
+    columns = {"max": 1, "min": 1, "sum": 2, "bits": orientations // GOALS_PER_WORD}
+    shape = rows, columns.get(accumulator.reduce, len(accumulator.channels))
+    return neutral_values(accumulator, shape, dtype)
 
 
-def blank(word: Word, shape: tuple[int, ...], dtype) -> jax.Array:
-    """Numbers of nothing."""
-    nothing = {"max": -np.inf, "min": np.inf}.get(word.reduce, 0)
-    return jnp.full(shape, nothing, word.kind(dtype))
+def neutral_values(accumulator: Accumulator, shape: tuple[int, ...], dtype) -> jax.Array:
+    """The neutral element of the reduction, in an array of that shape."""
+    neutral = {"max": -np.inf, "min": np.inf}.get(accumulator.reduce, 0)
+    return jnp.full(shape, neutral, accumulator.number_type(dtype))
 
 
-def added(word: Word, total: jax.Array, part: jax.Array, tile) -> jax.Array:
-    if word.reduce == "max":
+def add_tile(accumulator: Accumulator, total: jax.Array, part: jax.Array, tile) -> jax.Array:
+    """Results of earlier tiles of orientations, `total`, with those of one more, `part`.
+
+    Args:
+        accumulator: Says which reduction.
+        total: (positions, k)
+        part: From `reduce_tile`.
+        tile: Number of that tile: where its bits go.
+    """
+    if accumulator.reduce == "max":
         return jnp.maximum(total, part)
-    if word.reduce == "min":
+    if accumulator.reduce == "min":
         return jnp.minimum(total, part)
-    if word.reduce == "bits":
+    if accumulator.reduce == "bits":
         return jax.lax.dynamic_update_slice_in_dim(total, part, tile * part.shape[1], 1)
     return total + part
 
 
-JOIN: dict[str, Callable] = {
+JOIN_CALLS: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
     "count": np.add,
     "sum": np.add,
     "max": np.maximum,
     "min": np.minimum,
     "bits": lambda a, b: np.concatenate([a, b], axis=1),
 }
-"""How totals of two calls for the same positions become one, the earlier orientations first."""
+"""How results of two calls for the same positions become one, the earlier orientations first."""

@@ -1,26 +1,25 @@
 """Doubtful goals of a float32 sweep, solved again in float64.
 
-They were left out of all that is added up; here they are put in. Greatest and least values
+The float32 loop leaves them out of every additive channel; here they are put in. Greatest and least values
 stay those of float32.
 """
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ikjax.arm.arm import Arm
 from ikjax.core import vector
 from ikjax.core.pose import Pose
-from ikjax.ik.batched import wide_vectors
-from ikjax.maps.kernel.accumulators import Group, words_of
+from ikjax.core.xla import wide_vectors
+from ikjax.maps.kernel.accumulators import Pass, accumulators_for
 from ikjax.maps.kernel.loop import each_goal, rows_of
-from ikjax.maps.kernel.sample import GROUP, Lane
-from ikjax.maps.sets.orientations import Orientations
+from ikjax.maps.kernel.sample import GOALS_PER_WORD, Channel
+from ikjax.maps.sets.protocol import OrientationSet, PositionSet, Tables
 from ikjax.maps.sets.surface import Surface
+from ikjax.maps.store import manifest
 from ikjax.solvers.pipeline import as_solved
 
 BLOCK = 2**13
@@ -29,25 +28,36 @@ BLOCK = 2**13
 WIDE = np.dtype(np.float64)
 
 
-def lanes_of(groups: list[Group]) -> dict[str, Lane]:
-    """Those that doubtful goals were left out of."""
+def certified_channels(passes: list[Pass]) -> dict[str, Channel]:
+    """The channels that doubtful goals were left out of, by name."""
     pairs = [
-        (name, lane)
-        for group in groups
-        if group.doubt is not None
-        for word in group.words
-        for name, lane in zip(word.names, word.lanes, strict=True)
-        if lane.added and name != group.doubt
+        (name, channel)
+        for this_pass in passes
+        if this_pass.doubt_name is not None
+        for accumulator in this_pass.accumulators
+        for name, channel in zip(accumulator.names, accumulator.channels, strict=True)
+        if channel.is_additive and name != this_pass.doubt_name
     ]
     return dict(pairs)
 
 
-def program(arm: Arm, positions, orientations: Orientations, rolls: int, lanes: dict[str, Lane]):
-    """From tables, places (BLOCK, axes) and orientations (BLOCK,) to the number of each lane, (BLOCK,)."""
-    arm = as_solved(arm.astype(WIDE).baked())
-    # A word a lane: their numbers are wanted one by one.
-    words = tuple(word for name, lane in lanes.items() for word in words_of({name: lane}, rolls))
-    group = Group(words, pinned=True, coded=False)
+def certifying_program(study: manifest.Study, channels: dict[str, Channel]) -> Callable:
+    """A compiled program that solves single goals in float64.
+
+    Its inputs are the tables of both sets, places (BLOCK, axes) int32 and orientations (BLOCK,) int32. It
+    returns the number of each channel, (BLOCK,) each, in the order of `channels`.
+
+    Args:
+        study: Arm, sets and rolls.
+        channels: From `certified_channels`.
+    """
+    positions, orientations, rolls = study.positions, study.orientations, study.free_rolls
+    arm = as_solved(study.arm.astype(WIDE).baked())
+    # An accumulator for each channel: their numbers are wanted one by one.
+    accumulators = [
+        acc for name, channel in channels.items() for acc in accumulators_for({name: channel}, rolls)
+    ]
+    one_pass = Pass(tuple(accumulators), pinned=True, packs_flags=False)
 
     def solved(tables, index, turn):
         columns = tuple(index[:, k] for k in range(index.shape[1]))
@@ -58,7 +68,7 @@ def program(arm: Arm, positions, orientations: Orientations, rolls: int, lanes: 
             rotation = vector.matmul(frame, rotation)
         numbers = [jnp.broadcast_to(x, (BLOCK,)) for x in (*sum(rotation, ()), *place)]
         goal = Pose(rows_of(numbers[:9]), tuple(numbers[9:]))
-        return each_goal(arm, group, goal, rolls, WIDE, (BLOCK,))
+        return each_goal(arm, one_pass, goal, rolls, WIDE, (BLOCK,))
 
     tables = positions.tables(WIDE), orientations.tables(WIDE)
     shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), tables)
@@ -69,61 +79,84 @@ def program(arm: Arm, positions, orientations: Orientations, rolls: int, lanes: 
 
 @dataclasses.dataclass(frozen=True)
 class Certifier:
-    """Puts doubtful goals in."""
+    """Solves doubtful goals again and adds them to the results of a call."""
 
-    solved: Callable
-    """From `program`."""
-    tables: tuple[Any, ...]
-    groups: tuple[Group, ...]
+    program: Callable
+    """From `certifying_program`."""
+    tables: tuple[Tables, Tables]
+    """What both sets look up, in float64."""
+    passes: tuple[Pass, ...]
+    """Those that leave doubtful goals out."""
 
     @staticmethod
-    def of(solved: Callable, positions, orientations: Orientations, groups: list[Group]) -> "Certifier":
-        # As arrays of jax, because threads do not see the caller's settings.
+    def of(
+        program: Callable, positions: PositionSet, orientations: OrientationSet, passes: list[Pass]
+    ) -> "Certifier":
+        """The certifier of a compiled program, its sets, and the passes of the float32 loop."""
+        # As jax arrays, because other threads do not see the caller's settings.
         tables = jax.device_put((positions.tables(WIDE), orientations.tables(WIDE)))
-        return Certifier(solved, tables, tuple(group for group in groups if group.doubt is not None))
+        return Certifier(program, tables, tuple(each for each in passes if each.doubt_name is not None))
 
-    def mend(self, totals: dict[str, np.ndarray], index: np.ndarray, first: int) -> None:
-        """Add what float64 says of doubtful goals.
+    def add_doubtful(self, results: dict[str, np.ndarray], index: np.ndarray, first: int) -> None:
+        """Add what float64 says of doubtful goals to the results of one call, in place.
 
         Args:
-            totals: Of one call, (n, k) each.
+            results: From `Kernel.accumulate`, (n, k) each; those of doubts say which goals.
             index: (n, axes) places of its positions.
             first: Its first orientation.
         """
-        doubts = [totals[str(group.doubt)] for group in self.groups]
-        row, column = _places(np.bitwise_or.reduce(doubts))
-        found = self._values(index[row], first + column)
-        for group, bits in zip(self.groups, doubts, strict=True):
-            mine = bits[row, column // GROUP] >> (column % GROUP).astype(np.uint32) & 1 == 1
-            lanes = lanes_of([group])
-            for name in lanes:
-                _put(totals, name, lanes[name].reduce, row[mine], column[mine], found[name][mine])
+        doubts = [results[str(this_pass.doubt_name)] for this_pass in self.passes]
+        row, column = _set_bits(np.bitwise_or.reduce(doubts))
+        values = self._values(index[row], first + column)
+        for this_pass, bits in zip(self.passes, doubts, strict=True):
+            shift = (column % GOALS_PER_WORD).astype(np.uint32)
+            mine = bits[row, column // GOALS_PER_WORD] >> shift & 1 == 1
+            channels = certified_channels([this_pass])
+            for name, channel in channels.items():
+                _add_values(results, name, channel.reduce, row[mine], column[mine], values[name][mine])
 
     def _values(self, index: np.ndarray, turn: np.ndarray) -> dict[str, np.ndarray]:
-        """The number of each lane for each goal."""
-        names, count = list(lanes_of(list(self.groups))), len(turn)
-        found: list[list[np.ndarray]] = [[] for _ in names]
-        # At least one block, so that the types are known.
+        """The number of each channel for goals at places (m, axes) with orientations (m,), (m,) each."""
+        names, count = list(certified_channels(list(self.passes))), len(turn)
+        blocks: list[list[np.ndarray]] = [[] for _ in names]
+        # At least one block, so that the types are known where no goal is doubtful.
         for begin in range(0, max(count, 1), BLOCK):
-            some = index[begin : begin + BLOCK]
-            here, turns = np.zeros((BLOCK, index.shape[1]), np.int32), np.zeros(BLOCK, np.int32)
-            here[: len(some)], turns[: len(some)] = some, turn[begin : begin + BLOCK]
-            for values, value in zip(found, self.solved(self.tables, here, turns), strict=True):
-                values.append(np.asarray(value)[: len(some)])
-        return {name: np.concatenate(values) for name, values in zip(names, found, strict=True)}
+            part = index[begin : begin + BLOCK]
+            places, turns = np.zeros((BLOCK, index.shape[1]), np.int32), np.zeros(BLOCK, np.int32)
+            places[: len(part)], turns[: len(part)] = part, turn[begin : begin + BLOCK]
+            for values, value in zip(blocks, self.program(self.tables, places, turns), strict=True):
+                values.append(np.asarray(value)[: len(part)])
+        return {name: np.concatenate(values) for name, values in zip(names, blocks, strict=True)}
 
 
-def _places(bits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Row and number of every bit that is set, of (n, words)."""
+def _set_bits(bits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Row and bit number of every bit that is set in (n, words) uint32."""
     row, word = np.nonzero(bits)
-    which, shift = np.nonzero(bits[row, word][:, None] >> np.arange(GROUP, dtype=np.uint32) & 1)
-    return row[which], word[which] * GROUP + shift
+    which, shift = np.nonzero(bits[row, word][:, None] >> np.arange(GOALS_PER_WORD, dtype=np.uint32) & 1)
+    return row[which], word[which] * GOALS_PER_WORD + shift
 
 
-def _put(totals: dict[str, np.ndarray], name: str, reduce: str, row, column, value: np.ndarray) -> None:
-    """Into the totals of one lane."""
+def _add_values(
+    results: dict[str, np.ndarray],
+    name: str,
+    reduce: str,
+    row: np.ndarray,
+    column: np.ndarray,
+    value: np.ndarray,
+) -> None:
+    """Add the numbers of goals to the results of one channel.
+
+    Args:
+        results: From `Kernel.accumulate`; that of `name` is changed.
+        name: Of the channel.
+        reduce: Its reduction, an additive one.
+        row: (m,) the goals' positions.
+        column: (m,) the goals' orientations, counted from the first of the call.
+        value: (m,) the goals' numbers.
+    """
     if reduce == "bits":
-        totals[name] = totals[name].copy()
-        np.bitwise_or.at(totals[name], (row, column // GROUP), value << (column % GROUP).astype(np.uint32))
+        results[name] = results[name].copy()
+        shift = (column % GOALS_PER_WORD).astype(np.uint32)
+        np.bitwise_or.at(results[name], (row, column // GOALS_PER_WORD), value << shift)
     else:
-        np.add.at(totals[name], (row, 0), value.astype(np.int64))
+        np.add.at(results[name][:, 0], row, value.astype(np.int64))

@@ -1,9 +1,9 @@
-"""Which slots hold within the joint limits, and which goals float32 cannot decide.
+"""Which slots are within the joint limits, and which goals float32 cannot decide.
 
-Limits are tested on sines and cosines: no angle is ever computed. Near a fold a rounding decides whether two
-answers are there or none, and near a limit whether a joint is within it: a goal is doubtful that is within
-some roundings of either. Of random goals some thousandths are, of which one in a hundred comes out otherwise
-in float64.
+Limits are tested on sines and cosines: no angle is computed. Near a fold a rounding decides whether there are
+two answers or none, and near a limit it decides whether a joint is within it. A goal within some roundings of
+either is doubtful. Of random goals some thousandths are doubtful, and float64 decides one in a hundred of
+these otherwise.
 """
 
 import math
@@ -17,20 +17,25 @@ from ikjax.core.tolerances import DOUBTFUL_FOLD, DOUBTFUL_LIMIT, DOUBTFUL_MISSES
 from ikjax.solvers.pipeline import Slot
 
 
-def within(arm: Arm, slot: Slot, slack: float | None = None) -> jax.Array:
+def slot_within_limits(arm: Arm, slot: Slot, slack: float | None = None) -> jax.Array:
     """Whether whole turns can bring every joint of a slot between its limits.
 
-    An angle lies between two others when it is left of the one and right of the other, by the sign
-    of cross products; an arc of more than half a turn is the complement of one of less.
+    An angle lies between two others if it is left of the first and right of the second, by the signs of two
+    cross products. An arc of more than half a turn is the complement of a shorter one, so there one of the
+    two is enough.
 
     Args:
         arm: A baked arm.
         slot: One of its slots.
-        slack: So far beyond a limit is still within [rad, m]; by default what rounding takes.
+        slack: A joint so far beyond a limit is still within it [rad, m]; negative for so far inside. By
+            default 8 roundings of the arm's type.
+
+    Returns:
+        bool, of the slot's shape; a scalar where no joint has limits.
     """
     slack = 8 * float(jnp.finfo(arm.dtype).eps) if slack is None else slack
     if arm.coupling is not None:
-        return _by_value(arm, slot, slack)
+        return _coupled_within_limits(arm, slot, slack)
     inside = jnp.asarray(True)
     rows = zip(links(arm), slot.joints, slot.q, arm.limits.tolist(), strict=True)
     for link, joint, value, (lower, upper) in rows:
@@ -54,33 +59,40 @@ def within(arm: Arm, slot: Slot, slack: float | None = None) -> jax.Array:
     return inside
 
 
-def distance(arm: Arm, slot: Slot) -> jax.Array:
-    """How far the joint that is nearest to a limit is from it, as a share of half its range.
+def limit_share(arm: Arm, slot: Slot) -> jax.Array:
+    """The distance of the joint nearest to a limit from that limit, as a share of half the joint's range.
 
-    1 is the middle, 0 at the limit, negative beyond it; a turning joint is taken at the turn nearest
-    to the middle, and left out with one limit or none: whole turns always meet it. Without any limit it is 1.
+    It is 1 in the middle of the range, 0 at the limit, and negative beyond it. A revolute joint is taken at
+    the turn nearest to the middle; it is left out with one limit or none, because a whole turn can always
+    meet one limit. Any other joint with one limit counts as if half its range were 1 m (or 1 rad). Without
+    any limit the share is 1.
 
     Args:
         arm: A baked arm.
         slot: One of its slots.
+
+    Returns:
+        Of the shape and type of the slot's margin.
     """
     least = jnp.ones_like(slot.margin)
     for whole, value, (lower, upper) in zip(whole_turns(arm), slot.q, arm.limits.tolist(), strict=True):
         if not (math.isfinite(lower) and math.isfinite(upper)):
-            near = value - lower if math.isfinite(lower) else upper - value if math.isfinite(upper) else None
-            if near is not None and not whole:  # one limit alone: a range of two radians or metres
-                least = jnp.minimum(least, near)
+            inside = (
+                value - lower if math.isfinite(lower) else upper - value if math.isfinite(upper) else None
+            )
+            if inside is not None and not whole:  # one limit alone: a range of two radians or meters
+                least = jnp.minimum(least, inside)
             continue
-        away = value - (lower + upper) / 2
+        offset = value - (lower + upper) / 2
         if whole:
-            away = away - 2 * math.pi * jnp.round(away / (2 * math.pi))
-        half = max((upper - lower) / 2, float(jnp.finfo(arm.dtype).tiny))
-        least = jnp.minimum(least, 1 - jnp.abs(away) / half)
+            offset = offset - 2 * math.pi * jnp.round(offset / (2 * math.pi))
+        half_range = max((upper - lower) / 2, float(jnp.finfo(arm.dtype).tiny))
+        least = jnp.minimum(least, 1 - jnp.abs(offset) / half_range)
     return least
 
 
-def _by_value(arm: Arm, slot: Slot, slack: float) -> jax.Array:
-    """The same for coupled joints, whose limits are those of the motors."""
+def _coupled_within_limits(arm: Arm, slot: Slot, slack: float) -> jax.Array:
+    """The same for coupled joints: their limits are those of the motors, so angles are needed."""
     inside = jnp.asarray(True)
     for whole, value, (lower, upper) in zip(whole_turns(arm), slot.q, arm.limits.tolist(), strict=True):
         if whole and upper - lower >= 2 * math.pi:
@@ -93,15 +105,19 @@ def _by_value(arm: Arm, slot: Slot, slack: float) -> jax.Array:
 
 
 FREEDOMS = {"pose": 6, "position": 3, "planar_pose": 3, "planar_position": 2}
-"""Numbers that a task asks for. An arm of fewer joints meets them on a surface, never for sure off a grid."""
+"""Numbers that a task asks for. An arm of fewer joints meets them on a lower-dimensional set only, so
+every goal that it comes close to is doubtful."""
 
 
-def doubtful(arm: Arm, slot: Slot) -> jax.Array:
-    """Whether another rounding may decide otherwise.
+def is_doubtful(arm: Arm, slot: Slot) -> jax.Array:
+    """Whether another rounding may decide otherwise: valid or not, within limits or not.
 
     Args:
         arm: A baked arm.
         slot: One of its slots.
+
+    Returns:
+        bool, of the slot's shape.
     """
     least, most = DOUBTFUL_MISSES
     close = slot.miss_squared <= most * most
@@ -109,13 +125,13 @@ def doubtful(arm: Arm, slot: Slot) -> jax.Array:
     unsure = fold | (slot.miss_squared >= least * least) | slot.continuum
     if FREEDOMS[arm.task] > arm.n:
         return close
-    at_limit = within(arm, slot, DOUBTFUL_LIMIT) != within(arm, slot, -DOUBTFUL_LIMIT)
+    at_limit = slot_within_limits(arm, slot, DOUBTFUL_LIMIT) != slot_within_limits(arm, slot, -DOUBTFUL_LIMIT)
     return close & (unsure | at_limit)
 
 
 def any_doubtful(arm: Arm, slots: tuple[Slot, ...]) -> jax.Array:
-    """Whether any slot of a goal is."""
-    found = jnp.zeros((), bool)
+    """Whether any slot of a goal is doubtful."""
+    any_slot = jnp.zeros((), bool)
     for slot in slots:
-        found = found | doubtful(arm, slot)
-    return found
+        any_slot = any_slot | is_doubtful(arm, slot)
+    return any_slot

@@ -1,11 +1,15 @@
 """The loop of a sweep: positions with every orientation, reduced inside one fused loop.
 
-A loop with one result is fused and a loop with four is computed four times: so what counts a
-goal's slots shares one number of that goal, the bits of its slots, and what needs joints shares a loop in
-which every value is kept.
+A loop with one result is fused, and a loop with four results is computed four times. So all flags of a goal
+are read from one number of that goal, its bits; and channels that need joints share a pass in which every
+value is pinned.
+
+The loops are nested: pass, block of positions, tile of orientations, roll.
 """
 
+import dataclasses
 import itertools
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -16,24 +20,26 @@ from ikjax.core import vector
 from ikjax.core.pose import Pose
 from ikjax.core.xla import divider, pinning
 from ikjax.maps.kernel.accumulators import (
-    Group,
-    added,
-    blank,
-    over_rolls,
-    reduced,
-    start,
-    value_of,
-    without_doubtful,
+    Pass,
+    add_tile,
+    combine_rolls,
+    drop_doubtful,
+    empty_results,
+    neutral_values,
+    reduce_tile,
+    value_per_goal,
 )
 from ikjax.maps.kernel.sample import Goal
+from ikjax.maps.sets.orientations import Orientations
+from ikjax.maps.sets.protocol import PositionSet, Tables
 from ikjax.maps.sets.surface import Surface
 from ikjax.solvers.pipeline import solve_scalars
 
 POSITIONS, ORIENTATIONS = 64, 512
 """Goals in a tile: so many positions with so many orientations each."""
 
-FEW = 8
-"""Positions of a tile whose joints are needed, so that what is kept of them fits the cache."""
+POSITIONS_WITH_JOINTS = 8
+"""Positions of a tile whose joints are needed, so that their pinned values fit the processor's cache."""
 
 BLOCKS = 64
 """At most so many blocks of positions in one call."""
@@ -42,9 +48,49 @@ CALL = POSITIONS * BLOCKS
 """At most so many positions in one call."""
 
 
-def loop(arm, positions, orientations, rolls, dtype, groups, size, tables, index, first, blocks, tiles):
-    """Totals of every word, (CALL, k)."""
-    most, width = size
+@dataclasses.dataclass(frozen=True)
+class LoopSpec:
+    """What is fixed in the program of a sweep's loop."""
+
+    arm: Arm
+    """Baked, of type `dtype`."""
+    positions: PositionSet
+    orientations: Orientations
+    rolls: int
+    """Rolls of each goal about its own z axis, at least 1."""
+    dtype: np.dtype
+    """Floating type of the kernel."""
+    passes: list[Pass]
+    tiles: int
+    """Tiles of orientations in one call, at most."""
+    width: int
+    """Orientations of a tile, a multiple of 32."""
+
+
+def loop(
+    spec: LoopSpec,
+    tables: tuple[Tables, Tables],
+    index: jax.Array,
+    first: jax.Array,
+    blocks: jax.Array,
+    tiles: jax.Array,
+) -> tuple[jax.Array, ...]:
+    """Results of one call.
+
+    Args:
+        spec: What is fixed in the program.
+        tables: What `positions.at` and `orientations.at` look up.
+        index: (CALL, axes) int32, the places of the positions.
+        first: int32, the first orientation.
+        blocks: int32, blocks of `POSITIONS` positions that are computed, at most `BLOCKS`.
+        tiles: int32, tiles of orientations that are computed, at most `spec.tiles`.
+
+    Returns:
+        (CALL, k) for each accumulator of each pass, in this order, with the columns of `reduce_tile`. Rows
+        beyond the blocks computed are empty.
+    """
+    positions, orientations, dtype = spec.positions, spec.orientations, spec.dtype
+    most, width = spec.tiles, spec.width
     count = orientations.count
     columns = tuple(index[:, k] for k in range(index.shape[1]))
     place = positions.at(tables[0], columns, jnp, dtype)
@@ -53,65 +99,92 @@ def loop(arm, positions, orientations, rolls, dtype, groups, size, tables, index
     turn = jnp.minimum(first, count - 1) + jnp.arange(most * width, dtype=jnp.int32)
     real = (turn < count).reshape(most, 1, width)
     rows = orientations.at(tables[1], jnp.minimum(turn, count - 1), jnp, dtype)
-    # As arrays that the loops below are handed: inside them it would be made again for every goal.
+    # The rotations enter the loops below as an array: made inside, they would be made again for every goal.
     table = jnp.stack([jnp.broadcast_to(x, turn.shape) for row in rows for x in row])
     table = jnp.moveaxis(table.reshape(9, most, width), 1, 0)
 
-    def total(group: Group) -> tuple[jax.Array, ...]:
-        deep = FEW if any(lane.pinned for word in group.words for lane in word.lanes) else POSITIONS
+    def results_of(this_pass: Pass) -> tuple[jax.Array, ...]:
+        accumulators = this_pass.accumulators
+        needs_joints = any(channel.pinned for acc in accumulators for channel in acc.channels)
+        depth = POSITIONS_WITH_JOINTS if needs_joints else POSITIONS
 
         def block(b, wholes):
-            here = jax.lax.dynamic_slice_in_dim(places, b * deep, deep, 1)[:, :, None]
+            here = jax.lax.dynamic_slice_in_dim(places, b * depth, depth, 1)[:, :, None]
 
             def tile(t, totals):
-                r = jax.lax.dynamic_index_in_dim(table, t, keepdims=False)[:, None, :]
-                rotation = rows_of([r[k] for k in range(9)])
+                entries = jax.lax.dynamic_index_in_dim(table, t, keepdims=False)[:, None, :]
+                rotation = rows_of([entries[k] for k in range(9)])
                 if frame is not None:
                     rotation = vector.matmul(rows_of([here[k] for k in range(3, 12)]), rotation)
                 goal = Pose(rotation, tuple(here[k] for k in range(3)))
-                # Where tiles are full there is nothing to leave out, and XLA sees more.
+                # Where every tile is full no mask is needed, and XLA optimizes better without one.
                 mask = jax.lax.dynamic_index_in_dim(real, t, keepdims=False) if count % width else None
-                values = each_goal(arm, group, goal, rolls, dtype, (deep, width))
-                found = zip(group.words, totals, values, strict=True)
+                values = each_goal(spec.arm, this_pass, goal, spec.rolls, dtype, (depth, width))
                 return tuple(
-                    added(word, total, reduced(word, value, mask), t) for word, total, value in found
+                    add_tile(acc, total, reduce_tile(acc, value, mask), t)
+                    for acc, total, value in zip(accumulators, totals, values, strict=True)
                 )
 
-            parts = tuple(start(word, deep, most * width, dtype) for word in group.words)
-            # A loop of one turn costs a tenth of the whole.
+            parts = tuple(empty_results(acc, depth, most * width, dtype) for acc in accumulators)
+            # A loop of one iteration costs a tenth of the whole call, so its body is written down instead.
             parts = tile(0, parts) if most == 1 else jax.lax.fori_loop(0, tiles, tile, parts)
-            placed = zip(wholes, parts, strict=True)
-            return tuple(jax.lax.dynamic_update_slice_in_dim(*pair, b * deep, 0) for pair in placed)
+            return tuple(
+                jax.lax.dynamic_update_slice_in_dim(whole, part, b * depth, 0)
+                for whole, part in zip(wholes, parts, strict=True)
+            )
 
-        wholes = tuple(start(word, CALL, most * width, dtype) for word in group.words)
-        return jax.lax.fori_loop(0, blocks * (POSITIONS // deep), block, wholes)
+        wholes = tuple(empty_results(acc, CALL, most * width, dtype) for acc in accumulators)
+        return jax.lax.fori_loop(0, blocks * (POSITIONS // depth), block, wholes)
 
-    return tuple(itertools.chain.from_iterable(map(total, groups)))
+    return tuple(itertools.chain.from_iterable(map(results_of, spec.passes)))
 
 
 def rows_of(nine: list[jax.Array]) -> vector.Matrix:
+    """A matrix of its nine entries, row by row."""
     return tuple(tuple(nine[3 * i : 3 * i + 3]) for i in range(3))
 
 
-def each_goal(arm: Arm, group: Group, goal: Pose, rolls: int, dtype, shape) -> tuple[jax.Array, ...]:
-    """The numbers of each goal, (positions, orientations), over all rolls about its own z axis."""
+def each_goal(
+    arm: Arm, this_pass: Pass, goal: Pose, rolls: int, dtype: np.dtype, shape: tuple[int, ...]
+) -> tuple[jax.Array, ...]:
+    """The number of each goal for each accumulator of a pass, over all rolls about the goal's own z axis.
+
+    Args:
+        arm: Baked, of type `dtype`.
+        this_pass: Which numbers.
+        goal: T_world_tool in scalars: arrays that broadcast to `shape`.
+        rolls: Rolls of each goal, at least 1.
+        dtype: Floating type of the kernel.
+        shape: Of the goals: (positions, orientations), or (goals,).
+
+    Returns:
+        One array of that shape for each accumulator.
+    """
 
     def values(rotation) -> tuple[jax.Array, ...]:
         like = jnp.broadcast_to(rotation[0][0] + goal.position[0], shape)
         policy = divider(like)
         turned = Pose(rotation, goal.position)
-        with pinning(policy if group.pinned else None):
+        with pinning(policy if this_pass.pinned else None):
             slots = solve_scalars(arm, turned)
-        seen = Goal(arm, slots, policy, shape, {}, turned)
-        if group.coded:
-            kinds = {lane.inside for word in group.words for lane in word.lanes}
-            seen = seen.coded(sorted(kinds), group.doubt is not None)
-        return tuple(value_of(word, seen, dtype) for word in group.words)
+        solved = Goal(arm, slots, policy, shape, {}, turned)
+        if this_pass.packs_flags:
+            kinds = {channel.inside for acc in this_pass.accumulators for channel in acc.channels}
+            solved = solved.with_packed_flags(sorted(kinds), this_pass.doubt_name is not None)
+        return tuple(value_per_goal(acc, solved, dtype) for acc in this_pass.accumulators)
 
-    return without_doubtful(group, _over_rolls(values, group, goal, rolls, dtype, shape))
+    return drop_doubtful(this_pass, _over_rolls(values, this_pass, goal, rolls, dtype, shape))
 
 
-def _over_rolls(values, group: Group, goal: Pose, rolls: int, dtype, shape) -> tuple[jax.Array, ...]:
+def _over_rolls(
+    values: Callable[[vector.Matrix], tuple[jax.Array, ...]],
+    this_pass: Pass,
+    goal: Pose,
+    rolls: int,
+    dtype: np.dtype,
+    shape: tuple[int, ...],
+) -> tuple[jax.Array, ...]:
+    """The numbers `values` of the goal's rotation, combined over all rolls about its z axis."""
     if rolls == 1:
         return values(goal.rotation)
     steps = np.arange(rolls) * (2 * np.pi / rolls)
@@ -125,7 +198,11 @@ def _over_rolls(values, group: Group, goal: Pose, rolls: int, dtype, shape) -> t
             vector.subtract(vector.scale(c, y), vector.scale(s, x)),
             z,
         )
-        found = zip(group.words, totals, values(vector.transpose(turned)), strict=True)
-        return tuple(over_rolls(word, total, value) for word, total, value in found)
+        rolled = values(vector.transpose(turned))
+        return tuple(
+            combine_rolls(acc, total, value)
+            for acc, total, value in zip(this_pass.accumulators, totals, rolled, strict=True)
+        )
 
-    return jax.lax.fori_loop(0, rolls, roll, tuple(blank(word, shape, dtype) for word in group.words))
+    start = tuple(neutral_values(acc, shape, dtype) for acc in this_pass.accumulators)
+    return jax.lax.fori_loop(0, rolls, roll, start)

@@ -1,7 +1,6 @@
-"""A sweep's program, compiled once for an arm, its sets and its statistics, and called again and again.
+"""A sweep's program, compiled once for an arm, its sets and its statistics, and called many times.
 
-Whole numbers go in, which say what positions and orientations, and nothing but totals
-comes out.
+Its inputs are whole numbers that say which positions and orientations; its outputs are reduced results.
 """
 
 import dataclasses
@@ -14,14 +13,14 @@ import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from ikjax.arm.arm import Arm
-from ikjax.ik.batched import THREADS, one_thread
+from ikjax.core.xla import one_thread
+from ikjax.ik.batched import THREADS
 from ikjax.ik.inline import is_small
-from ikjax.maps.kernel.accumulators import JOIN, Word, groups_of
-from ikjax.maps.kernel.certify import Certifier, lanes_of, program
-from ikjax.maps.kernel.loop import BLOCKS, CALL, ORIENTATIONS, POSITIONS, loop
-from ikjax.maps.kernel.sample import GROUP
-from ikjax.maps.sets.orientations import Orientations
+from ikjax.maps.kernel.accumulators import JOIN_CALLS, Accumulator, passes_for
+from ikjax.maps.kernel.certify import Certifier, certified_channels, certifying_program
+from ikjax.maps.kernel.loop import BLOCKS, CALL, ORIENTATIONS, POSITIONS, LoopSpec, loop
+from ikjax.maps.kernel.sample import GOALS_PER_WORD
+from ikjax.maps.sets.protocol import Tables
 from ikjax.maps.statistics import Plan
 from ikjax.maps.store import manifest
 from ikjax.solvers.pipeline import as_solved
@@ -30,8 +29,10 @@ TILES = 64
 """At most so many tiles of orientations of each block of positions in one call; between calls there is
 progress to show."""
 
-_KEPT = 8
+_CACHE_SIZE = 8
+"""Programs that are kept; the oldest is dropped first."""
 _compiled: dict[str, tuple[Callable, Callable | None]] = {}
+"""By fingerprint: the loop, and the program that certifies, if there is one."""
 
 
 @dataclasses.dataclass
@@ -39,137 +40,167 @@ class Kernel:
     """A compiled loop and how much of it to do in one call."""
 
     compiled: Callable
-    tables: tuple[Any, ...]
-    words: list[Word]
+    """`loop`, over all devices of this process."""
+    tables: tuple[Tables, Tables]
+    """What the sets of positions and of orientations look up, on every device."""
+    accumulators: list[Accumulator]
+    """What the program returns, in order."""
     orientations: int
+    """Number of orientations of the sweep."""
     width: int
     """Orientations in a tile."""
     axes: int
     """Whole numbers that say where a position is."""
     tiles: int
-    """Of orientations in one call."""
+    """Tiles of orientations in one call."""
     devices: int
+    """Devices of this process."""
     blocks: int = BLOCKS
-    """Of positions on each device in one call."""
+    """Blocks of positions on each device in one call."""
     certifier: Certifier | None = None
+    """Solves doubtful goals again; None where nothing is certified."""
 
     @property
     def positions(self) -> int:
-        """In one call."""
+        """At most so many positions in one call."""
         return POSITIONS * self.blocks * self.devices
 
-    def _share(self, count: int) -> int:
-        """Of so many positions, those on each device: whole blocks."""
+    def _per_device(self, count: int) -> int:
+        """Positions on each device, of `count` in all: whole blocks."""
         return -(-count // (POSITIONS * self.devices)) * POSITIONS
 
-    def firsts(self) -> range:
+    def first_orientations(self) -> range:
         """The first orientation of each call for the same positions."""
         return range(0, self.orientations, self.tiles * self.width)
 
-    def totals(self, index: np.ndarray, first: int) -> dict[str, np.ndarray]:
-        """One call: totals of each lane, (n, k). Several may run at once, each on a thread of its own.
+    def accumulate(self, index: np.ndarray, first: int) -> dict[str, np.ndarray]:
+        """One call: the results of each channel. Several may run at once, each on a thread of its own.
 
         Args:
-            index: (n, axes) places of at most `positions` positions.
-            first: From `firsts`.
+            index: (n, axes) int32, places of at most `positions` positions.
+            first: From `first_orientations`.
+
+        Returns:
+            By channel, (n, 1) int64 of counts and sums, (n, 1) of extremes in the kernel's type, and
+            (n, words) uint32 of bits: 32 orientations a word.
         """
-        count, totals = len(index), dict[str, np.ndarray]()
-        share = self._share(count)
+        count, results = len(index), dict[str, np.ndarray]()
+        per_device = self._per_device(count)
         full = np.zeros((self.devices, CALL, self.axes), np.int32)
         for device in range(self.devices):
-            part = index[device * share : (device + 1) * share]
+            part = index[device * per_device : (device + 1) * per_device]
             full[device, : len(part)] = part
         left = min(self.orientations - first, self.tiles * self.width)
-        numbers = map(np.int32, (first, share // POSITIONS, -(-left // self.width)))
-        result = self.compiled(self.tables, full.reshape(-1, self.axes), *numbers)
-        for word, array in zip(self.words, jax.device_get(result), strict=True):
-            rows = np.asarray(array).reshape(self.devices, CALL, -1)[:, :share]
+        numbers = map(np.int32, (first, per_device // POSITIONS, -(-left // self.width)))
+        returned = self.compiled(self.tables, full.reshape(-1, self.axes), *numbers)
+        for accumulator, array in zip(self.accumulators, jax.device_get(returned), strict=True):
+            rows = np.asarray(array).reshape(self.devices, CALL, -1)[:, :per_device]
             rows = rows.reshape(-1, rows.shape[-1])[:count]
-            if word.reduce == "count":
-                totals |= {name: rows[:, k : k + 1].astype(np.int64) for k, name in enumerate(word.names)}
-            elif word.reduce == "sum":
+            names = accumulator.names
+            if accumulator.reduce == "count":
+                results |= {name: rows[:, k : k + 1].astype(np.int64) for k, name in enumerate(names)}
+            elif accumulator.reduce == "sum":
                 high, low = rows[:, :1].astype(np.int64), rows[:, 1:].astype(np.int64)
-                totals[word.names[0]] = (high << 16) + low
-            elif word.reduce == "bits":
-                totals[word.names[0]] = rows[:, : -(-left // GROUP)]
+                results[names[0]] = (high << 16) + low
+            elif accumulator.reduce == "bits":
+                results[names[0]] = rows[:, : -(-left // GOALS_PER_WORD)]
             else:
-                totals[word.names[0]] = rows
+                results[names[0]] = rows
         if self.certifier is not None:
-            self.certifier.mend(totals, index, first)
-        return totals
+            self.certifier.add_doubtful(results, index, first)
+        return results
 
-    def together(self, one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Totals of two calls for the same positions, the earlier orientations first."""
+    def join_calls(self, one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Results of two calls for the same positions in one, the earlier orientations first."""
         joined = {}
-        for word in self.words:
-            for name in word.names:
-                joined[name] = JOIN[word.reduce](one[name], other[name])
+        for accumulator in self.accumulators:
+            for name in accumulator.names:
+                joined[name] = JOIN_CALLS[accumulator.reduce](one[name], other[name])
         return joined
 
-    def suit(self, seconds: float) -> float:
-        """Measure the loop and let a call take about so long; goals a second on all threads."""
+    def tune_calls(self, seconds: float) -> float:
+        """Measure the loop, and set `tiles` and `blocks` so that a call takes about so long.
+
+        Args:
+            seconds: Wanted for one call.
+
+        Returns:
+            The rate: goals per second on all threads.
+        """
         times = []
         for _ in range(2):
             started = time.perf_counter()
-            some = np.zeros((self.devices * CALL, self.axes), np.int32)
-            jax.block_until_ready(self.compiled(self.tables, some, *map(np.int32, (0, 1, 1))))
+            index = np.zeros((self.devices * CALL, self.axes), np.int32)
+            jax.block_until_ready(self.compiled(self.tables, index, *map(np.int32, (0, 1, 1))))
             times.append(time.perf_counter() - started)
-        one = min(times)
+        one = min(times)  # of one block with one tile
         self.tiles = int(np.clip(seconds / one, 1, self.tiles))
         self.blocks = int(np.clip(seconds / one / self.tiles, 1, BLOCKS))
         return THREADS * self.devices * POSITIONS * min(self.width, self.orientations) / one
 
 
-def kernel_of(arm: Arm, positions, orientations: Orientations, rolls: int, dtype: np.dtype, plan: Plan):
-    """The compiled loop; it is kept for the next sweep of the same arm, sets and statistics.
+def kernel_of(study: manifest.Study, plan: Plan) -> Kernel:
+    """The compiled loop of a sweep. The program is cached for the next sweep of the same study.
 
-    Positions are shared out over this process's devices, each of which runs the same program.
+    Positions are divided among this process's devices, each of which runs the same program.
+
+    Args:
+        study: Arm, sets, rolls and type.
+        plan: Its statistics and the channels that they need.
     """
-    given, arm = arm, as_solved(arm.astype(dtype).baked())
-    place, turn = positions.tables(dtype), orientations.tables(dtype)
-    groups = groups_of(plan.lanes, rolls, is_small(arm), plan.certify)
-    words = [word for group in groups for word in group.words]
+    positions, orientations, rolls = study.positions, study.orientations, study.free_rolls
+    dtype = np.dtype(study.dtype)
+    arm = as_solved(study.arm.astype(dtype).baked())
+    tables = positions.tables(dtype), orientations.tables(dtype)
+    passes = passes_for(plan.channels, rolls, is_small(arm), plan.certify)
+    accumulators = [accumulator for this_pass in passes for accumulator in this_pass.accumulators]
     devices = jax.local_devices()
     mesh = Mesh(np.array(devices), ("goals",))
-    width = min(ORIENTATIONS, -(-orientations.count // GROUP) * GROUP)
+    width = min(ORIENTATIONS, -(-orientations.count // GOALS_PER_WORD) * GOALS_PER_WORD)
     tiles = min(TILES, -(-orientations.count // width))
     key = manifest.fingerprint(
         {
-            # Certified, the arm counts as it was given, and not only as it is rounded.
-            "arm": manifest.of_arm(given.astype("float64") if plan.certify else arm),
-            "sets": [manifest.of_set(positions), manifest.of_set(orientations)],
-            "shapes": [x.shape for x in (*place, *turn)],
+            # A certified sweep solves the arm as it was given too, not only as it is rounded to `dtype`.
+            "arm": manifest.arm_spec(study.arm.astype("float64") if plan.certify else arm),
+            "sets": [manifest.set_spec(positions), manifest.set_spec(orientations)],
+            "shapes": [x.shape for part in tables for x in part],
             "rolls": rolls,
             "devices": len(devices),
             "dtype": dtype.name,
-            "statistics": plan.told(),
+            "statistics": plan.specs(),
         }
     )
     if key not in _compiled:
-        while len(_compiled) >= _KEPT:
+        while len(_compiled) >= _CACHE_SIZE:
             _compiled.pop(next(iter(_compiled)))
-        each = functools.partial(loop, arm, positions, orientations, rolls, dtype, groups, (tiles, width))
-        shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), (place, turn))
-        index = jax.ShapeDtypeStruct((len(devices) * CALL, len(positions.shape)), np.int32)
-        numbers = [jax.ShapeDtypeStruct((), np.int32)] * 3
-        shared, whole = PartitionSpec("goals"), PartitionSpec()
-        places = (whole, shared, whole, whole, whole)
-        # What is the same on all devices is so by its making; nothing is exchanged.
-        spread = jax.shard_map(each, mesh=mesh, in_specs=places, out_specs=shared, check_vma=False)
-        jitted = jax.jit(
-            spread,
-            in_shardings=tuple(NamedSharding(mesh, place) for place in places),
-            out_shardings=NamedSharding(mesh, shared),
-            compiler_options=one_thread(),
-        )
-        again = lanes_of(groups)
-        solved = program(given, positions, orientations, rolls, again) if again else None
-        _compiled[key] = jitted.lower(shapes, index, *numbers).compile(), solved
-    compiled, solved = _compiled[key]
-    tables = jax.device_put((place, turn), NamedSharding(mesh, PartitionSpec()))
+        spec = LoopSpec(arm, positions, orientations, rolls, dtype, passes, tiles, width)
+        certified = certified_channels(passes)
+        certifying = certifying_program(study, certified) if certified else None
+        _compiled[key] = _compile_loop(spec, tables, mesh), certifying
+    compiled, certifying = _compiled[key]
+    placed = jax.device_put(tables, NamedSharding(mesh, PartitionSpec()))
     kernel = Kernel(
-        compiled, tables, words, orientations.count, width, len(positions.shape), tiles, len(devices)
+        compiled, placed, accumulators, orientations.count, width, len(positions.shape), tiles, len(devices)
     )
-    if solved is not None:
-        kernel.certifier = Certifier.of(solved, positions, orientations, groups)
+    if certifying is not None:
+        kernel.certifier = Certifier.of(certifying, positions, orientations, passes)
     return kernel
+
+
+def _compile_loop(spec: LoopSpec, tables: tuple[Tables, Tables], mesh: Mesh) -> Callable[..., Any]:
+    """`loop` over all devices of the mesh, (devices * CALL, axes) places in, (devices * CALL, k) out."""
+    each = functools.partial(loop, spec)
+    shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), tables)
+    index = jax.ShapeDtypeStruct((mesh.size * CALL, len(spec.positions.shape)), np.int32)
+    numbers = [jax.ShapeDtypeStruct((), np.int32)] * 3
+    split, whole = PartitionSpec("goals"), PartitionSpec()
+    inputs = (whole, split, whole, whole, whole)
+    # What is the same on all devices is so by construction; nothing is exchanged.
+    sharded = jax.shard_map(each, mesh=mesh, in_specs=inputs, out_specs=split, check_vma=False)
+    jitted = jax.jit(
+        sharded,
+        in_shardings=tuple(NamedSharding(mesh, part) for part in inputs),
+        out_shardings=NamedSharding(mesh, split),
+        compiler_options=one_thread(),
+    )
+    return jitted.lower(shapes, index, *numbers).compile()

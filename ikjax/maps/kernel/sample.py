@@ -1,86 +1,99 @@
-"""What a lane of a sweep's loop sees of a goal, and what a lane is."""
+"""What a channel of a sweep's loop sees of a goal, and what a channel is."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 
 from ikjax.arm.arm import Arm
 from ikjax.core.pose import Pose
-from ikjax.core.xla import Pin
-from ikjax.maps.kernel.flags import any_doubtful, within
-from ikjax.solvers.context import in_bits
+from ikjax.core.xla import Pin, through_one_number
+from ikjax.maps.kernel.flags import any_doubtful, slot_within_limits
 from ikjax.solvers.pipeline import Slot
 
-GROUP = 32
-"""Goals that are added up in 32 bits before anything else happens to them."""
-
+GOALS_PER_WORD = 32
+"""Goals whose numbers are reduced to one 32-bit word before anything else happens to them."""
 
 DOUBT = "doubt"
-"""The lane of doubtful goals."""
+"""The channel of doubtful goals, and the key of their flags in `Goal.cache`."""
 
 
 class Goal(NamedTuple):
-    """What a lane sees: arrays (positions, orientations) in the place of scalars."""
+    """A batch of solved goals, as a channel sees it.
+
+    Where the solvers have one scalar, each value here is an array (positions, orientations).
+    """
 
     arm: Arm
+    """Baked: its parameters are constants of the program."""
     slots: tuple[Slot, ...]
+    """Every branch of the closed form."""
     pin: Pin
-    """Keeps a value of its shape from being computed again."""
-    shape: tuple[int, int]
-    kept: dict[Any, Any]
-    """What several lanes look at and was made already."""
+    """Keeps a value of this shape from being computed again (`core.xla`)."""
+    shape: tuple[int, ...]
+    """(positions, orientations); (goals,) where doubtful goals are solved again."""
+    cache: dict[Any, Any]
+    """Values that several channels use, each under a key of its own, made at the first use. Flags that were
+    read from one number are under False (without limits) and True (within limits)."""
     pose: Pose | None = None
-    """T_world_tool, for what looks at more than solutions."""
+    """T_world_tool, for channels that look at more than solutions."""
 
     def flags(self, inside: bool) -> list[jax.Array]:
-        """Which slots count."""
-        if inside in self.kept:
-            return self.kept[inside]
-        if not inside:
-            return [slot.valid for slot in self.slots]
-        return [slot.valid & within(self.arm, slot) for slot in self.slots]
-
-    def doubt(self) -> jax.Array:
-        """Whether another rounding may make other flags."""
-        if DOUBT not in self.kept:
-            self.kept[DOUBT] = any_doubtful(self.arm, self.slots)
-        return self.kept[DOUBT]
-
-    def coded(self, kinds: Sequence[bool], doubt: bool) -> "Goal":
-        """The same goal, with its flags read from one number that is made once.
+        """Which slots count, one bool array (positions, orientations) for each slot.
 
         Args:
-            kinds: Which flags: without limits, within them.
-            doubt: Whether doubts are read too.
+            inside: Only solutions within the joint limits count.
+        """
+        if inside in self.cache:
+            return self.cache[inside]
+        if not inside:
+            return [slot.valid for slot in self.slots]
+        return [slot.valid & slot_within_limits(self.arm, slot) for slot in self.slots]
+
+    def doubt(self) -> jax.Array:
+        """Whether another rounding may give other flags, bool (positions, orientations)."""
+        if DOUBT not in self.cache:
+            self.cache[DOUBT] = any_doubtful(self.arm, self.slots)
+        return self.cache[DOUBT]
+
+    def with_packed_flags(self, kinds: Sequence[bool], with_doubt: bool) -> "Goal":
+        """The same goals, with their flags read from one number that is computed once.
+
+        Args:
+            kinds: Which flags to pack, as the argument `inside` of `flags`.
+            with_doubt: Whether `doubt` is packed too.
         """
         flags = [flag for inside in kinds for flag in self.flags(inside)]
-        flags += [self.doubt()] if doubt else []
-        dtype = self.slots[0].margin.dtype
-        code = self.pin(jnp.broadcast_to(in_bits(flags, dtype), self.shape)).astype(jnp.int32)
-        read = [(code >> k & 1) == 1 for k in range(len(flags))]
+        flags += [self.doubt()] if with_doubt else []
+        code = through_one_number(flags, self.slots[0].margin, self.shape, self.pin)
+        unpacked = [(code >> k & 1) == 1 for k in range(len(flags))]
         count = len(self.slots)
-        parts = {inside: read[k * count : (k + 1) * count] for k, inside in enumerate(kinds)}
-        return self._replace(kept={**self.kept, **parts, **({DOUBT: read[-1]} if doubt else {})})
+        cache = dict(self.cache)
+        for k, inside in enumerate(kinds):
+            cache[inside] = unpacked[k * count : (k + 1) * count]
+        if with_doubt:
+            cache[DOUBT] = unpacked[-1]
+        return self._replace(cache=cache)
 
 
-class Lane(NamedTuple):
-    """One number of every goal on its way into a statistic."""
+class Channel(NamedTuple):
+    """One number of every goal on its way into a statistic, and how the numbers of many goals are reduced."""
 
     reduce: str
-    """"count" (whole numbers, several of which share a word), "sum" (whole numbers), "max", "min", "bits"."""
+    """"count" (whole numbers; several channels share a 32-bit word), "sum" (whole numbers), "max", "min",
+    "bits" (a flag of every goal)."""
     value: Callable[[Goal], jax.Array]
-    most: int = 1
-    """Of a count: the greatest number of one goal."""
+    """From goals to their numbers (positions, orientations): int32 of "count" and "sum", bool of "bits"."""
+    max_per_goal: int = 1
+    """Of "count": the greatest number of one goal at one roll."""
     inside: bool = False
-    """Of a count or bits: which flags it looks at."""
+    """Of "count" and "bits": whether it looks at the flags within joint limits."""
     any_roll: bool = False
-    """Of a count: over free rolls it is a yes or no, and not a sum."""
+    """Of "count": over free rolls the numbers 0 and 1 are joined by "or", not added."""
     pinned: bool = False
-    """Needs joints, not only masks: values of the kernel are pinned."""
+    """Needs joints, not only flags: values of the kernel are pinned."""
 
     @property
-    def added(self) -> bool:
-        """Whether a goal's number can be taken out of the total again."""
+    def is_additive(self) -> bool:
+        """Whether a goal can be left out of the result and put in later."""
         return self.reduce in ("count", "sum", "bits")

@@ -1,31 +1,36 @@
-"""A grid of rotations of equal cells, with a look-up of the nearest.
+"""A grid of rotations with equal cells, and a look-up of the nearest one.
 
-Directions of the tool are the pixels of HEALPix in rings, and each has the same turns about
-itself. Index i stands for pixel i // turns at turn i % turns.
+Directions of the tool are the pixels of HEALPix in ring order, and each has the same turns about itself.
+Index i stands for pixel i // turns at turn i % turns. The methods of a set are described in
+`maps.sets.protocol`.
 Source: Yershova, Jain, LaValle and Mitchell, Generating uniform incremental grids on SO(3) using the Hopf
 fibration, IJRR 2010; Gorski et al., HEALPix, ApJ 622 (2005), equations (4)-(9).
 """
 
 import dataclasses
 import math
-from typing import Any
+from collections.abc import Iterator
+from types import ModuleType
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ikjax.core import vector
+from ikjax.core.trig import Scalar
 from ikjax.core.vector import Matrix
 from ikjax.maps.sets.integer_angles import about_z, tilt
-from ikjax.maps.sets.protocol import ByNumber
+from ikjax.maps.sets.protocol import FormulaRotations, Index, Tables
 
 DEEPEST = 8
-"""Levels, whose rotations 32-bit integers count."""
+"""The last level whose rotations 32-bit integers can count."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Hopf(ByNumber):
+class Hopf(FormulaRotations):
     """72 * 8^level rotations; neighbors are about 60 degrees / 2^level apart."""
 
     level: int
+    """0 to 8."""
 
     @property
     def side(self) -> int:
@@ -42,18 +47,18 @@ class Hopf(ByNumber):
         """Number of rotations."""
         return 12 * self.side**2 * self.turns
 
-    def tables(self, dtype) -> tuple[Any, ...]:
+    def tables(self, dtype: np.dtype) -> Tables:
         return ()
 
-    def at(self, tables: tuple[Any, ...], index, xp, dtype) -> Matrix:
+    def at(self, tables: Tables, index: Index, xp: ModuleType, dtype: np.dtype) -> Matrix:
         """The rotations of whole numbers."""
         pixel, turn = index // self.turns, index % self.turns
         half, rest, azimuth = self._pixel(pixel, xp, dtype)
         roll = turn.astype(dtype) * dtype.type(math.tau / self.turns)
         return vector.matmul(tilt(half, rest, azimuth, xp), about_z(roll, xp))
 
-    def _pixel(self, pixel, xp, dtype):
-        """A pixel's direction: squares of the sine and cosine of half its polar angle, its azimuth [rad]."""
+    def _pixel(self, pixel: Index, xp: ModuleType, dtype: np.dtype) -> tuple[Scalar, Scalar, Scalar]:
+        """Directions of pixels: squared sine and cosine of half the polar angle, and the azimuth [rad]."""
         n, last = self.side, 12 * self.side**2 - 1
         cap = 2 * n * (n - 1)
         # The southern cap is the northern one mirrored.
@@ -71,11 +76,21 @@ class Hopf(ByNumber):
         azimuth = (place.astype(dtype) + offset) * dtype.type(math.tau / 4) / ring.astype(dtype)
         in_cap = ring.astype(dtype) ** 2 / dtype.type(6 * n**2)
         in_belt = (band.astype(dtype) - dtype.type(0.5 * n)) / dtype.type(3 * n)
-        near = xp.where(belt, in_belt, in_cap)
-        return xp.where(south, 1 - near, near), xp.where(south, near, 1 - near), azimuth
+        half = xp.where(belt, in_belt, in_cap)
+        return xp.where(south, 1 - half, half), xp.where(south, half, 1 - half), azimuth
 
-    def nearest(self, rotations) -> np.ndarray:
-        """Indices (...) of the rotations of the grid that are nearest to rotations (..., 3, 3)."""
+    def nearest(self, rotations: ArrayLike) -> np.ndarray:
+        """Indices of the rotations of the grid with the least angle to given rotations.
+
+        Args:
+            rotations: (..., 3, 3)
+
+        Returns:
+            (...) int64.
+
+        Raises:
+            ValueError: A wrong shape.
+        """
         given = np.asarray(rotations, float)
         if given.ndim < 2 or given.shape[-2:] != (3, 3):
             raise ValueError(f"rotations must have shape (..., 3, 3), got {given.shape}")
@@ -93,10 +108,14 @@ class Hopf(ByNumber):
             best = np.maximum(best, trace)
         return index
 
-    def _pixels_near(self, axis: np.ndarray):
-        """Pixels, among which is that of the nearest rotation: two rings and two pixels to each side."""
+    def _pixels_near(self, axis: np.ndarray) -> Iterator[np.ndarray]:
+        """Pixels (...) around tool axes (..., 3), one array after the other.
+
+        The pixel of the nearest rotation is among them: they reach two rings and two pixels to each side.
+        """
         n, z = self.side, axis[..., 2]
-        # Half the axis's height from its other components: near a pole 1 - z has lost its digits.
+        # Squared sines of half the angles to both poles. Near a pole 1 - z has lost its digits, so they are
+        # computed from the other components.
         across = np.hypot(axis[..., 0], axis[..., 1])
         half = np.where(z > 0, across**2 / (2 * (1 + np.abs(z))), (1 - z) / 2)
         other = np.where(z < 0, across**2 / (2 * (1 + np.abs(z))), (1 + z) / 2)
@@ -104,33 +123,33 @@ class Hopf(ByNumber):
         ring = np.where(half < 1 / 6, north, np.where(other < 1 / 6, south, n * (3 * half + 0.5)))
         azimuth = np.arctan2(axis[..., 1], axis[..., 0])
         for up in range(-2, 3):
-            near = np.clip(np.rint(ring).astype(np.int64) + up, 1, 4 * n - 1)
-            size = 4 * np.minimum(np.minimum(near, n), 4 * n - near)
-            first = np.where(near <= n, 2 * near * (near - 1), 2 * n * (n - 1) + 4 * n * (near - n))
-            mirrored = 4 * n - near
-            first = np.where(near > 3 * n, 12 * n**2 - 2 * mirrored * (mirrored + 1), first)
+            row = np.clip(np.rint(ring).astype(np.int64) + up, 1, 4 * n - 1)
+            size = 4 * np.minimum(np.minimum(row, n), 4 * n - row)
+            first = np.where(row <= n, 2 * row * (row - 1), 2 * n * (n - 1) + 4 * n * (row - n))
+            mirrored = 4 * n - row
+            first = np.where(row > 3 * n, 12 * n**2 - 2 * mirrored * (mirrored + 1), first)
             place = np.floor(azimuth * size / math.tau).astype(np.int64)
             for aside in range(-2, 3):
                 yield first + (place + aside) % size
 
 
 def hopf(level: int) -> Hopf:
-    """72 * 8^level rotations of equal cells; `.nearest(rotations)` looks their indices up.
+    """72 * 8^level rotations with equal cells; `.nearest(rotations)` looks up their indices.
 
     Args:
         level: 0 to 8: 72, 576, 4,608, 36,864 and so on.
 
     Raises:
-        ValueError: A level out of range.
+        ValueError: No whole number, or one out of range.
     """
     if isinstance(level, bool) or not isinstance(level, int | np.integer) or not 0 <= level <= DEEPEST:
         raise ValueError(f"level must be a whole number from 0 to {DEEPEST}, got {level}")
     return Hopf(int(level))
 
 
-def _root(value, xp):
-    """The whole square root of a number below 2^31."""
+def _root(value: Index, xp: ModuleType) -> Index:
+    """The integer square root, rounded down, of numbers below 2^31."""
     guess = xp.sqrt(value.astype(np.float32)).astype(value.dtype)
-    # float32 is off by one at most.
+    # The square root in float32 is off by one at most.
     guess = xp.where(guess * guess > value, guess - 1, guess)
     return xp.where((guess + 1) * (guess + 1) <= value, guess + 1, guess)

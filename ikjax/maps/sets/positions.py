@@ -1,18 +1,20 @@
-"""Where a sweep looks: box grids and spherical shells of positions.
+"""Positions of a sweep: box grids and spherical shells.
 
-Methods as in `maps.sets.protocol`.
+The methods of a set are described in `maps.sets.protocol`.
 """
 
 import dataclasses
 import math
-from typing import Any
+from types import ModuleType
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import reach
 from ikjax.core.vector import Vector
 from ikjax.maps.sets.orientations import spiral
+from ikjax.maps.sets.protocol import Index, NamedArrays, Tables
 
 
 @dataclasses.dataclass(frozen=True)
@@ -22,8 +24,9 @@ class Grid:
     origin: tuple[float, ...]
     """The first position [m], world frame."""
     spacing: float
-    """[m]"""
+    """Between neighbors [m]."""
     shape: tuple[int, ...]
+    """Positions along x, y and z."""
 
     @property
     def count(self) -> int:
@@ -31,7 +34,7 @@ class Grid:
         return math.prod(self.shape)
 
     def axis(self, k: int) -> np.ndarray:
-        """The coordinates along x (0), y (1) or z (2) [m]."""
+        """The coordinates along x (0), y (1) or z (2) [m], (shape[k],)."""
         return self.origin[k] + self.spacing * np.arange(self.shape[k])
 
     def points(self) -> np.ndarray:
@@ -39,41 +42,53 @@ class Grid:
         return self.part((slice(None),) * 3)
 
     def part(self, box: tuple[slice, ...]) -> np.ndarray:
-        """The positions of a box of the grid [m]: the same numbers as in `points()[box]`."""
+        """The positions of a box of the grid [m], (..., 3): the same numbers as in `points()[box]`.
+
+        Args:
+            box: A slice along each axis.
+        """
         axes = [self.axis(k)[side] for k, side in enumerate(box)]
         return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
 
     axes = ("x", "y", "z")
 
-    def named(self) -> dict[str, tuple[np.ndarray, tuple[str, ...]]]:
-        """What a map says of its axes: arrays and the names of their dimensions."""
+    def named(self) -> NamedArrays:
+        """The coordinates along the axes, as a map stores them."""
         return {name: (self.axis(k), (name,)) for k, name in enumerate(self.axes)}
 
-    def tables(self, dtype) -> tuple[Any, ...]:
+    def tables(self, dtype: np.dtype) -> Tables:
         """Arrays that `at` looks up, of the kernel's type."""
         return tuple(self.axis(k).astype(dtype) for k in range(3))
 
-    def at(self, tables: tuple[Any, ...], index: tuple[Any, ...], xp, dtype) -> Vector:
-        """The positions of whole numbers along each axis."""
+    def at(self, tables: Tables, index: tuple[Index, ...], xp: ModuleType, dtype: np.dtype) -> Vector:
+        """The positions [m] of whole numbers along each axis."""
         return tuple(table[i] for table, i in zip(tables, index, strict=True))
 
     def volume(self, chosen: np.ndarray) -> float:
-        """What positions stand for [m^3]: a cell each."""
+        """The volume of chosen positions [m^3]: each stands for one cell.
+
+        Args:
+            chosen: bool, of the grid's shape.
+        """
         return float(chosen.sum() * self.spacing**3)
 
     def in_words(self) -> str:
+        """The set in a few words for people."""
         return f"{self.count:,} positions ({self.spacing * 1000:g} mm apart)"
 
 
-def grid(lower, upper, spacing: float) -> Grid:
-    """A grid that fills the box from `lower` to `upper` and is centerd in it.
+def grid(lower: ArrayLike, upper: ArrayLike, spacing: float) -> Grid:
+    """A grid that fills the box from `lower` to `upper` and is centered in it.
+
+    Where an edge of the box is no multiple of the spacing, a margin of less than half a spacing is left at
+    both ends. An edge of length zero has one position.
 
     Args:
         lower, upper: Corners (3,) [m].
-        spacing: Between neighbors [m].
+        spacing: Between neighbors [m], positive.
 
     Raises:
-        ValueError: A wrong shape, corners out of order, a spacing that is not positive.
+        ValueError: A wrong shape, corners out of order or not finite, a spacing that is not positive.
     """
     lower, upper = np.asarray(lower, float), np.asarray(upper, float)
     if lower.shape != (3,) or upper.shape != (3,):
@@ -81,6 +96,7 @@ def grid(lower, upper, spacing: float) -> Grid:
     if not (np.isfinite(lower).all() and np.isfinite(upper).all() and (lower <= upper).all()):
         raise ValueError(f"lower must not exceed upper, got {lower} and {upper}")
     _check_spacing(spacing)
+    # An edge that is a multiple of the spacing up to rounding keeps its last position.
     shape = np.floor((upper - lower) / spacing + 1e-9).astype(int) + 1
     origin = (lower + upper - (shape - 1) * spacing) / 2
     return Grid(tuple(map(float, origin)), float(spacing), tuple(map(int, shape)))
@@ -88,15 +104,18 @@ def grid(lower, upper, spacing: float) -> Grid:
 
 def _check_spacing(spacing: float) -> None:
     if not 0 < spacing < np.inf:
-        raise ValueError(f"spacing must be a positive number of metres, got {spacing}")
+        raise ValueError(f"spacing must be a positive number of meters, got {spacing}")
 
 
 def around(arm: Arm, spacing: float) -> Grid:
-    """A cubic grid around the arm's first axis that no reachable position lies outside of.
+    """A cubic grid around the arm's first axis that contains every reachable position.
 
     Args:
         arm: The arm.
-        spacing: Between neighbors [m].
+        spacing: Between neighbors [m], positive.
+
+    Raises:
+        ValueError: A spacing that is not positive.
     """
     _check_spacing(spacing)
     baked = arm.baked()
@@ -108,20 +127,20 @@ def around(arm: Arm, spacing: float) -> Grid:
 
 @dataclasses.dataclass(frozen=True)
 class Shell:
-    """Positions on concentric spheres, the same directions on each: radius slow, direction fast."""
+    """Positions on concentric spheres, the same directions on each; the last axis is the direction."""
 
     center: tuple[float, float, float]
-    """[m]"""
+    """World frame [m]."""
     radii: tuple[float, ...]
-    """[m], ascending."""
+    """[m], positive and ascending."""
     directions: int
-    """Spread evenly over the sphere, on a spherical Fibonacci spiral."""
+    """Number on each sphere, spread evenly on a spherical Fibonacci spiral."""
 
     axes = ("radius", "direction")
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Of every statistic."""
+        """Number of spheres and of directions."""
         return (len(self.radii), self.directions)
 
     @property
@@ -135,23 +154,29 @@ class Shell:
         index = tuple(np.indices(self.shape, np.int32))
         return np.stack(self.at(self.tables(dtype), index, np, dtype), axis=-1)
 
-    def named(self) -> dict[str, tuple[np.ndarray, tuple[str, ...]]]:
-        """What a map says of its axes: arrays and the names of their dimensions."""
+    def named(self) -> NamedArrays:
+        """The coordinates along the axes, as a map stores them."""
         unit = dataclasses.replace(self, center=(0.0, 0.0, 0.0), radii=(1.0,)).points()[0]
         return {"radius": (np.array(self.radii), ("radius",)), "direction": (unit, ("direction", "xyz"))}
 
-    def tables(self, dtype) -> tuple[Any, ...]:
+    def tables(self, dtype: np.dtype) -> Tables:
         """Arrays that `at` looks up, of the kernel's type."""
         return (np.array(self.radii, dtype),)
 
-    def at(self, tables: tuple[Any, ...], index: tuple[Any, ...], xp, dtype) -> Vector:
-        """The positions of whole numbers along each axis."""
+    def at(self, tables: Tables, index: tuple[Index, ...], xp: ModuleType, dtype: np.dtype) -> Vector:
+        """The positions [m] of whole numbers along each axis."""
         layer, place = index
         unit = (row[2] for row in spiral(place, self.directions, 1, xp, dtype))
         return tuple(dtype.type(c) + tables[0][layer] * u for c, u in zip(self.center, unit, strict=True))
 
     def volume(self, chosen: np.ndarray) -> float:
-        """What positions stand for [m^3]: the layers meet half way, the outer ones end at their radius."""
+        """The volume of chosen positions [m^3].
+
+        Layers meet half way between two spheres; the innermost and the outermost end at their spheres.
+
+        Args:
+            chosen: bool, of the shell's shape.
+        """
         radii = np.array(self.radii)
         middle = (radii[1:] + radii[:-1]) / 2
         between = np.concatenate([radii[:1], middle, radii[-1:]])
@@ -159,27 +184,28 @@ class Shell:
         return float((chosen.sum(1) * layers).sum())
 
     def in_words(self) -> str:
+        """The set in a few words for people."""
         return f"{self.count:,} positions ({len(self.radii)} spheres of {self.directions:,})"
 
 
-def shell(center, radii, directions: int) -> Shell:
+def shell(center: ArrayLike, radii: ArrayLike, directions: int) -> Shell:
     """Positions on spheres about a center.
 
     Args:
-        center: (3,) [m].
-        radii: One radius or several [m], positive and ascending.
-        directions: On each sphere.
+        center: (3,) [m], world frame.
+        radii: One radius or several (k,) [m], positive and ascending.
+        directions: Number on each sphere, at least 1.
 
     Raises:
         ValueError: A wrong shape, radii that do not ascend, no directions.
     """
     middle, layers = np.asarray(center, float), np.atleast_1d(np.asarray(radii, float))
     if middle.shape != (3,) or not np.isfinite(middle).all():
-        raise ValueError(f"center must be a point (3,), got {center}")
+        raise ValueError(f"center must be a point (3,), got {middle.tolist()}")
     if layers.ndim != 1 or len(layers) == 0 or not (np.isfinite(layers).all() and layers[0] > 0):
-        raise ValueError(f"radii must be positive numbers of metres, got {radii}")
+        raise ValueError(f"radii must be positive numbers of meters, got {layers.tolist()}")
     if (np.diff(layers) <= 0).any():
-        raise ValueError(f"radii must ascend, got {radii}")
+        raise ValueError(f"radii must ascend, got {layers.tolist()}")
     if isinstance(directions, bool) or not isinstance(directions, int | np.integer) or directions < 1:
         raise ValueError(f"directions must be at least 1, got {directions}")
     x, y, z = (float(c) for c in middle)

@@ -1,25 +1,26 @@
 """Points of a surface as the positions of a sweep: how much of a part an arm can work on.
 
-With normals the orientations of a sweep are seen from the surface: z points into it, against
-the normal. Points come as an array, as a table in a file (CSV), or from a mesh (STL), which is read
-as the data that it is.
+With normals, the orientations of a sweep are given in a frame of the surface at each point, whose z axis
+points into the surface, against the normal. Points come as an array, from a table in a file (CSV), or from a
+mesh (STL). The methods of a set are described in `maps.sets.protocol`.
 """
 
 import dataclasses
 import pathlib
 import struct
-from typing import Any
+from types import ModuleType
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ikjax.core.vector import Matrix, Vector
-from ikjax.maps.sets.protocol import frozen
+from ikjax.maps.sets.protocol import Index, NamedArrays, Tables, read_only
 
 LARGEST = 2**30
-"""Bytes of a file."""
+"""Most bytes of a file."""
 
 MOST = 10**8
-"""Points that a mesh is cut into."""
+"""Most points that a mesh is cut into."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -34,8 +35,8 @@ class Surface:
     axes = ("point",)
 
     def __post_init__(self):
-        object.__setattr__(self, "xyz", frozen(self.xyz))
-        object.__setattr__(self, "normals", None if self.normals is None else frozen(self.normals))
+        object.__setattr__(self, "xyz", read_only(self.xyz))
+        object.__setattr__(self, "normals", None if self.normals is None else read_only(self.normals))
 
     def __eq__(self, other) -> bool:
         if not isinstance(other, Surface) or self.named().keys() != other.named().keys():
@@ -45,7 +46,7 @@ class Surface:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Of every statistic."""
+        """(number of points,)"""
         return (len(self.xyz),)
 
     @property
@@ -58,50 +59,57 @@ class Surface:
         return self.xyz
 
     def frames(self) -> np.ndarray | None:
-        """(n, 3, 3) what orientations are seen from, its z axis against the normal; or None."""
+        """Frames (n, 3, 3) in which orientations are given, z against the normal; None without normals."""
         return None if self.normals is None else _frames(-self.normals)
 
-    def named(self) -> dict[str, tuple[np.ndarray, tuple[str, ...]]]:
-        """What a map says of its axis: arrays and the names of their dimensions."""
-        arrays: dict[str, tuple[np.ndarray, tuple[str, ...]]] = {"points": (self.xyz, ("point", "xyz"))}
+    def named(self) -> NamedArrays:
+        """The points and normals, as a map stores them."""
+        arrays: NamedArrays = {"points": (self.xyz, ("point", "xyz"))}
         if self.normals is not None:
             arrays["normals"] = (self.normals, ("point", "xyz"))
         return arrays
 
-    def tables(self, dtype) -> tuple[Any, ...]:
+    def tables(self, dtype: np.dtype) -> Tables:
         """Arrays that `at` looks up, of the kernel's type."""
         frames = self.frames()
         points = (self.xyz.astype(dtype),)
         return points if frames is None else (*points, frames.reshape(-1, 9).astype(dtype))
 
-    def at(self, tables: tuple[Any, ...], index: tuple[Any, ...], xp, dtype) -> Vector:
-        """The positions of whole numbers."""
+    def at(self, tables: Tables, index: tuple[Index, ...], xp: ModuleType, dtype: np.dtype) -> Vector:
+        """The positions [m] of whole numbers."""
         rows = tables[0][index[0]]
         return tuple(rows[..., k] for k in range(3))
 
-    def frame_at(self, tables: tuple[Any, ...], index: tuple[Any, ...]) -> Matrix | None:
-        """The frames of whole numbers, where there are normals."""
+    def frame_at(self, tables: Tables, index: tuple[Index, ...]) -> Matrix | None:
+        """The frames of whole numbers, three rows of three scalars; None without normals."""
         if self.normals is None:
             return None
         rows = tables[1][index[0]]
         return tuple(tuple(rows[..., 3 * i + j] for j in range(3)) for i in range(3))
 
     def in_words(self) -> str:
+        """The set in a few words for people."""
         return f"{self.count:,} points of a surface"
 
 
-def surface(points, normals=None, *, scale: float = 1.0, spacing: float | None = None) -> Surface:
-    """Points for a reach study.
+def surface(
+    points: ArrayLike | str | pathlib.Path,
+    normals: ArrayLike | None = None,
+    *,
+    scale: float = 1.0,
+    spacing: float | None = None,
+) -> Surface:
+    """Points of a surface, as the positions of a sweep.
 
     Args:
-        points: (n, 3) [m]; or a file: `.csv` of three columns, or of six with normals, `#` before what is
-            no number; or `.stl`, whose triangles give their middles and normals.
-        normals: (n, 3) of any length but zero, pointing out of the part.
-        scale: Metres in a unit of the points: 0.001 for a file in millimetres.
-        spacing: Triangles are cut into equal ones until no edge is longer [m].
+        points: (n, 3) [m]; or a file: `.csv` with three columns, or six with normals, and `#` before
+            comments; or `.stl`, whose triangles give their centroids and normals.
+        normals: (n, 3) of any length but zero, pointing out of the part; not with a file.
+        scale: Meters in a unit of the points: 0.001 for a file in millimeters.
+        spacing: Triangles are cut into equal ones until no edge is longer [m]; by default they are not cut.
 
     Raises:
-        ValueError: Wrong shapes, numbers that are not finite, normals of no length, a file that is none
+        ValueError: Wrong shapes, numbers that are not finite, normals of length zero, or a file that is none
             of these.
         OSError: No such file.
     """
@@ -131,7 +139,7 @@ def surface(points, normals=None, *, scale: float = 1.0, spacing: float | None =
 
 
 def _frames(z: np.ndarray) -> np.ndarray:
-    """Right-handed frames (n, 3, 3) of given third axes.
+    """Right-handed frames (n, 3, 3) with given z axes (n, 3), unit vectors.
 
     Source: Duff et al., Building an orthonormal basis, revisited, JCGT 6 (2017).
     """
@@ -144,6 +152,12 @@ def _frames(z: np.ndarray) -> np.ndarray:
 
 
 def _read(path: pathlib.Path, longest: float) -> tuple[np.ndarray, np.ndarray | None]:
+    """Points (n, 3) of a file, in its units, and normals (n, 3) of any length or None.
+
+    Args:
+        path: A table or a mesh.
+        longest: Edges of triangles are at most so long, in the file's units.
+    """
     kind = path.suffix.lower()
     if kind not in (".csv", ".stl"):
         raise ValueError(f"{path}: points are read from .csv and .stl")
@@ -157,25 +171,24 @@ def _read(path: pathlib.Path, longest: float) -> tuple[np.ndarray, np.ndarray | 
     # The stored normals are often zero or rough; the order of the corners says the same.
     normals = np.cross(edges[:, 0], edges[:, 1])
     size = np.linalg.norm(normals, axis=1)
-    flat = ~(size > 0)
-    if flat.all():
+    degenerate = ~(size > 0)
+    if degenerate.all():
         raise ValueError(f"{path}: no triangle has an area")
-    triangles, normals = triangles[~flat], normals[~flat]
+    triangles, normals = triangles[~degenerate], normals[~degenerate]
     parts = np.ceil(np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=2).max(1) / longest)
     parts = np.maximum(parts, 1)
     if (parts**2).sum() > MOST:
         raise ValueError(f"{path}: spacing asks for {(parts**2).sum():.2g} points, more than {MOST:,}")
-    pieces = [
-        (middles @ triangles[parts == n], normals[parts == n], middles)
-        for n in np.unique(parts)
-        for middles in [_middles(int(n))]
-    ]
-    points = np.concatenate([found.reshape(-1, 3) for found, _, _ in pieces])
-    return points, np.concatenate([np.repeat(n, len(middles), axis=0) for _, n, middles in pieces])
+    all_points, all_normals = [], []
+    for n in np.unique(parts):
+        weights = _centroids(int(n))
+        all_points.append((weights @ triangles[parts == n]).reshape(-1, 3))
+        all_normals.append(np.repeat(normals[parts == n], len(weights), axis=0))
+    return np.concatenate(all_points), np.concatenate(all_normals)
 
 
-def _middles(n: int) -> np.ndarray:
-    """Of n * n equal parts of a triangle, as weights (n * n, 3) of its corners."""
+def _centroids(n: int) -> np.ndarray:
+    """Centroids of n * n equal parts of a triangle, as weights (n * n, 3) of its corners."""
     i, j = np.indices((n, n)).reshape(2, -1)
     upright, inverted = i + j < n, i + j < n - 1
     first = np.stack([i, j], axis=-1) + 1 / 3
@@ -185,6 +198,7 @@ def _middles(n: int) -> np.ndarray:
 
 
 def _read_table(path: pathlib.Path, data: bytes) -> tuple[np.ndarray, np.ndarray | None]:
+    """Points (n, 3) and normals (n, 3) or None, of the bytes of a CSV file."""
     try:
         lines = [line for line in data.decode().splitlines() if line.partition("#")[0].strip()]
         rows = np.loadtxt(lines, delimiter=",", ndmin=2) if lines else np.empty((0, 0))
@@ -199,7 +213,7 @@ def _read_stl(path: pathlib.Path, data: bytes) -> np.ndarray:
     """Corners (n, 3, 3) of the triangles of an STL file, in the file's units."""
     if len(data) >= 84:
         (count,) = struct.unpack_from("<I", data, 80)
-        # Some binary files begin with "solid" too, so their length decides.
+        # Some binary files begin with "solid" too, so the length decides.
         if count and len(data) == 84 + 50 * count:
             record = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])
             return np.frombuffer(data, record, count, 84)["corners"].astype(float)

@@ -1,13 +1,13 @@
 """The documents of a stored map: its spec and fingerprint, its zarr v3 metadata, its work units.
 
-Pure: nothing is read or written here. The spec is JSON of everything that the numbers of a map depend on;
-maps of equal fingerprints hold equal numbers. A work unit is one chunk of the position grid, in every
-statistic's array. Each document is known to the byte beforehand, so that a flipped bit in one is seen.
+Nothing is read or written here. The spec is JSON of everything that the numbers of a map depend on; maps with
+equal fingerprints hold equal numbers. A work unit is one chunk of the positions, in the arrays of all
+statistics. Every document is known to the byte beforehand, so that a flipped bit in one is found.
 
     zarr.json                 the spec, its fingerprint, the chunk, the state
     reachable/zarr.json       and so on for every statistic: the positions' shape, perhaps more axes
     reachable/c/1/0/2         its chunk of unit (1, 0, 2), with a checksum
-    rotations, x, y, z        what the axes mean; of other sets their own
+    rotations, x, y, z        what the axes mean; other sets have other names
 """
 
 import dataclasses
@@ -19,71 +19,97 @@ import re
 import sys
 import warnings
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import jax.numpy as jnp
 import numpy as np
 
 from ikjax.arm.arm import Arm
 from ikjax.arm.recognition import recognize
+from ikjax.arm.recognition.signs import named_signs
 from ikjax.core.text import line
 from ikjax.maps.sets.orientations import Listed, Orientations
+from ikjax.maps.sets.protocol import NamedArrays, OrientationSet, PositionSet
 
 SCHEMA = 4
 """Version of a map's layout; a reader refuses any other."""
 
 
-Fixed = Mapping[str, tuple[np.ndarray, tuple[str, ...]]]
-"""Arrays that a map holds besides its statistics, by name, with the names of their dimensions."""
+class Study(Protocol):
+    """What the numbers of a map depend on; a `ReachMap` is one.
+
+    The fields mean what they mean there.
+    """
+
+    @property
+    def arm(self) -> Arm: ...
+
+    @property
+    def positions(self) -> PositionSet: ...
+
+    @property
+    def orientations(self) -> Orientations: ...
+
+    @property
+    def free_rolls(self) -> int: ...
+
+    @property
+    def dtype(self) -> str: ...
+
+    @property
+    def statistic_specs(self) -> Mapping[str, dict[str, Any]]: ...
 
 
-def of_study(
-    arm: Arm,
-    positions,
-    orientations,
-    free_rolls: int,
-    dtype: str,
-    statistics: Mapping[str, dict[str, Any]],
-    fixed: Fixed,
-) -> dict:
-    """Everything that a map's numbers depend on. The size of its chunks is not among it.
+def describe(study: Study) -> tuple[dict[str, Any], NamedArrays]:
+    """The spec of a map, and the arrays that a map stores besides its statistics.
+
+    The size of the chunks is not in the spec: the numbers do not depend on it.
+
+    Args:
+        study: What the numbers depend on.
+
+    Returns:
+        The spec as plain JSON values, and the arrays of `fixed_arrays`, of which the spec has the hashes.
 
     Raises:
-        ValueError: A statistic of the name of one of the arrays that the map holds besides.
+        ValueError: A statistic has the name of one of these arrays.
     """
+    fixed = fixed_arrays(study.positions, study.orientations)
+    statistics = study.statistic_specs
     if taken := [name for name in statistics if name in fixed]:
         raise ValueError(f"a map cannot keep a statistic {taken[0]!r}: its own {taken[0]} are called so")
-    study = {
+    positions, orientations = study.positions, study.orientations
+    spec = {
         "schema": SCHEMA,
-        # No file below may import the front door, but whoever calls has come through it.
+        # Rooms below may not import the front door, but whoever calls this has imported it.
         "ikjax": sys.modules["ikjax"].__version__,
-        # As the kernel sees it, whatever type its leaves have where it is swept.
-        "arm": of_arm(arm.astype("float64" if is_certified(statistics) else dtype)),
-        "positions": {**of_set(positions), "shape": positions.shape, "axes": positions.axes},
-        "orientations": {**of_set(orientations), "count": orientations.count},
-        "free_rolls": free_rolls,
-        "dtype": dtype,
+        # As the kernel sees it, whatever the type of its leaves.
+        "arm": arm_spec(study.arm.astype("float64" if is_certified(statistics) else study.dtype)),
+        "positions": {**set_spec(positions), "shape": positions.shape, "axes": positions.axes},
+        "orientations": {**set_spec(orientations), "count": orientations.count},
+        "free_rolls": study.free_rolls,
+        "dtype": study.dtype,
         "statistics": statistics,
         "fixed": {
-            name: {"shape": array.shape, "axes": axes, "sha256": hash_of(array)}
+            name: {"shape": array.shape, "axes": axes, "sha256": array_hash(array)}
             for name, (array, axes) in fixed.items()
         },
     }
-    return json.loads(canonical(study))
+    return json.loads(canonical_json(spec)), fixed
 
 
 def check_name(name: object) -> None:
-    """Raise unless it may name an array of a map: what names a file and a variable is nothing else."""
+    """Raise ValueError unless it may name an array of a map: it becomes a file name and a variable name."""
     if not isinstance(name, str) or not re.fullmatch(r"[a-z][a-z0-9_]*", name):
         raise ValueError(f"name must be of small letters, digits and _, got {name!r}")
 
 
 def check_stored(spec: dict) -> None:
-    """Raise where a stored spec says what no sweep writes; anyone may have written the file.
+    """Check a stored spec for what no sweep writes; anyone may have written the file.
 
     Raises:
-        ValueError: Names that would lead out of the map or into the commands of its page, or no such type or
-            number of rolls.
+        ValueError: Names that would lead out of the map's folder or into the commands of its page, or an
+            impossible type or number of rolls.
     """
     for name in (*spec["statistics"], *spec["fixed"]):
         check_name(name)
@@ -95,34 +121,39 @@ def check_stored(spec: dict) -> None:
 
 
 def is_certified(statistics: Mapping[str, dict[str, Any]]) -> bool:
-    """Whether doubtful goals were solved again in float64: there the arm counts as it was given."""
-    return any(told.get("certified", False) for told in statistics.values())
+    """Whether doubtful goals were solved again in float64: then the spec has the arm as it was given.
+
+    Args:
+        statistics: The spec of each, by name.
+    """
+    return any(spec.get("certified", False) for spec in statistics.values())
 
 
-def of_set(chosen) -> dict:
-    """A set of positions or orientations as JSON; arrays are left to `fixed`."""
-    fields = {field.name: getattr(chosen, field.name) for field in dataclasses.fields(chosen)}
+def set_spec(members: PositionSet | OrientationSet) -> dict[str, Any]:
+    """A set of positions or orientations as JSON, without its arrays: those are in `fixed_arrays`."""
+    dataclass: Any = members
+    fields = {field.name: getattr(members, field.name) for field in dataclasses.fields(dataclass)}
     plain = {name: value for name, value in fields.items() if not isinstance(value, np.ndarray)}
-    return {"kind": type(chosen).__name__, **plain}
+    return {"kind": type(members).__name__, **plain}
 
 
-def hash_of(array: np.ndarray) -> str:
+def array_hash(array: np.ndarray) -> str:
     """SHA-256 of the numbers as little-endian float64."""
     return hashlib.sha256(np.ascontiguousarray(array, "<f8").tobytes()).hexdigest()
 
 
-def canonical(spec: dict) -> str:
-    """JSON of one form only: what is equal is spelt equally."""
+def canonical_json(spec: dict) -> str:
+    """JSON in one form only: equal values give equal text."""
     return json.dumps(spec, sort_keys=True, allow_nan=False)
 
 
 def fingerprint(spec: dict) -> str:
-    """A hash of the canonical JSON."""
-    return hashlib.sha256(canonical(spec).encode()).hexdigest()[:16]
+    """The first 16 digits of the SHA-256 of the canonical JSON."""
+    return hashlib.sha256(canonical_json(spec).encode()).hexdigest()[:16]
 
 
 def differences(there: dict, here: dict) -> list[str]:
-    """Where two specs differ, as "positions.spacing: 0.1 there, 0.2 here"."""
+    """Where two specs differ, each as "positions.spacing: 0.1 there, 0.2 here", sorted by key."""
     rows = []
     for key in sorted(there.keys() | here.keys()):
         a, b = there.get(key), here.get(key)
@@ -143,8 +174,8 @@ _OPTIONAL = ("coupling", "correction")
 _FACTS = ("family", "signs", "branches", "task")
 
 
-def of_arm(arm: Arm) -> dict:
-    """An arm as JSON: lists of the shortest numbers that round to its leaves, infinities as null."""
+def arm_spec(arm: Arm) -> dict[str, Any]:
+    """An arm as JSON: lists of the shortest decimals that round to its leaves, infinite limits as null."""
     columns: dict[str, Any] = {name: _numbers(getattr(arm, name)) for name in _LEAVES}
     columns["limits"] = [[x if math.isfinite(x) else None for x in pair] for pair in columns["limits"]]
     for name in _OPTIONAL:
@@ -159,11 +190,11 @@ def _numbers(leaf) -> list:
     return np.reshape(shortest, np.shape(leaf)).tolist()
 
 
-def to_arm(spec: dict) -> Arm:
-    """The arm of `of_arm`.
+def arm_from_spec(spec: dict) -> Arm:
+    """The arm that `arm_spec` describes, leaf by leaf.
 
     Raises:
-        ValueError: Numbers that make no arm, a family or a task that is none.
+        ValueError: Numbers that make no arm, an unknown family, or not the task of the family.
     """
     tasks: dict[str | None, str] = {name: rule.task for name, rule in recognize.RULES.items()}
     tasks[None] = "pose"
@@ -171,48 +202,50 @@ def to_arm(spec: dict) -> Arm:
         raise ValueError(f"there is no family {spec['family']!r} with the task {spec['task']!r}")
     limits = [[-math.inf if lo is None else lo, math.inf if hi is None else hi] for lo, hi in spec["limits"]]
     table = {name: spec[name] for name in (*_LEAVES, *_OPTIONAL)} | {"limits": limits}
-    # Leaves that were rounded to float32 are judged as such: the family is the one that was stored.
+    # Leaves that were rounded to float32 are recognized with the tolerances of float32.
     dtype = np.float32 if spec["dtype"] == "float32" else None
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of twists that were rounded to a type
+        warnings.simplefilter("ignore")  # about twists that were rounded to a type
         arm = Arm.from_dh(**table, kinds=spec["kinds"], name=spec["name"], convention="standard", dtype=dtype)
-    # The numbers as they were stored, whatever a table of such numbers would be recognized as.
+    # The numbers and the family as they were stored, whatever family such a table would be recognized as.
     stored: dict[str, Any] = {key: spec[key] for key in ("a", "alpha", "d", "theta", "correction")}
     stored = {key: None if value is None else jnp.asarray(value, arm.dtype) for key, value in stored.items()}
     return dataclasses.replace(
         arm,
         **stored,
         family=spec["family"],
-        signs=tuple(spec["signs"]),
+        signs=named_signs(spec["family"], spec["signs"]),
         branches=tuple(spec["branches"]),
         task=spec["task"],
     )
 
 
 MOST_ROTATIONS = 2**16
-"""Of a formula: so many are written out for readers who do not know it."""
+"""Rotations made by a formula are stored up to so many, for readers that do not know the formula."""
 
-GROUP = "zarr.json"
-STATES = ("clearing", "sweeping", "complete")
-GOALS = 2**26
+GROUP_KEY = "zarr.json"
+"""Key of the document of the zarr group: the map's own."""
+UNIT_GOALS = 2**26
 """About so many goals make a work unit: less than a second of a fast arm."""
 
 
 class Head(NamedTuple):
     """What the group's document says."""
 
-    spec: dict
-    arm: dict
-    """As it was given: the spec has it rounded to the kernel's type."""
+    spec: dict[str, Any]
+    """From `describe`."""
+    arm: dict[str, Any]
+    """The arm as it was given; the spec has it rounded to the kernel's type."""
     chunk: tuple[int, ...]
+    """Positions of a unit along each axis."""
     state: str
-    """"clearing" (what is there is being removed), "sweeping" or "complete"."""
+    """"clearing" (an earlier map is being removed), "sweeping" or "complete"."""
     seconds: float
-    """What the sweep took; 0 until it is complete."""
+    """Duration of the sweep; 0 until it is complete."""
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Of the positions."""
+        """Shape of the positions."""
         return tuple(self.spec["positions"]["shape"])
 
     @property
@@ -222,16 +255,22 @@ class Head(NamedTuple):
 
     @property
     def names(self) -> list[str]:
-        """Of the statistics."""
+        """Names of the statistics."""
         return list(self.spec["statistics"])
 
 
-def default_chunk(shape: tuple[int, ...], orientations: int, goals: float = GOALS) -> tuple[int, ...]:
-    """About so many goals, as near a cube as the positions allow, in powers of two.
+def default_chunk(shape: tuple[int, ...], orientations: int, goals: float = UNIT_GOALS) -> tuple[int, ...]:
+    """A chunk of about so many goals: edges in powers of two, as equal as the shape allows.
 
-    At least 512 positions and at most 2^21, unless the arm is slower than `GOALS` takes for granted.
+    It has at least 512 positions and at most 2^21. If fewer than `UNIT_GOALS` are asked for, because the arm
+    is slow, it has at least one position.
+
+    Args:
+        shape: Of the positions.
+        orientations: Goals at each position.
+        goals: Wanted for one chunk.
     """
-    least = 512 if goals >= GOALS else 1
+    least = 512 if goals >= UNIT_GOALS else 1
     left = min(max(goals / orientations, least), 2**21)
     chunk = [0] * len(shape)
     # The shortest axes first: what they do not use is left to the others.
@@ -242,35 +281,35 @@ def default_chunk(shape: tuple[int, ...], orientations: int, goals: float = GOAL
     return tuple(chunk)
 
 
-def units(shape: tuple[int, ...], chunk: tuple[int, ...]) -> list[tuple[int, ...]]:
-    """The place of every unit among the chunks, the last axis fastest."""
+def unit_indices(shape: tuple[int, ...], chunk: tuple[int, ...]) -> list[tuple[int, ...]]:
+    """The index of every unit among the chunks along each axis, the last axis fastest."""
     counts = [-(-size // edge) for size, edge in zip(shape, chunk, strict=True)]
     return list(itertools.product(*map(range, counts)))
 
 
-def box(unit: tuple[int, ...], shape: tuple[int, ...], chunk: tuple[int, ...]) -> tuple[slice, ...]:
-    """The positions of a unit."""
+def unit_box(unit: tuple[int, ...], shape: tuple[int, ...], chunk: tuple[int, ...]) -> tuple[slice, ...]:
+    """The positions of a unit, a slice along each axis."""
     return tuple(
         slice(i * edge, min((i + 1) * edge, size)) for i, edge, size in zip(unit, chunk, shape, strict=True)
     )
 
 
-def key(head: Head, name: str, unit: tuple[int, ...]) -> str:
-    """Where a unit's chunk of a statistic lies."""
-    more = head.spec["statistics"][name]["shape"]
-    return "/".join([name, "c", *map(str, unit), *("0" for _ in more)])
+def chunk_key(head: Head, name: str, unit: tuple[int, ...]) -> str:
+    """The key of a unit's chunk of a statistic."""
+    extra_axes = head.spec["statistics"][name]["shape"]
+    return "/".join([name, "c", *map(str, unit), *("0" for _ in extra_axes)])
 
 
-def fixed(positions, orientations: Orientations) -> dict[str, tuple[np.ndarray, tuple[str, ...]]]:
-    """The arrays that the spec determines, with the names of their dimensions."""
+def fixed_arrays(positions: PositionSet, orientations: Orientations) -> NamedArrays:
+    """The arrays that a map stores besides its statistics: coordinates of positions, and rotations."""
     arrays = dict(positions.named())
     if isinstance(orientations, Listed) or orientations.count <= MOST_ROTATIONS:
         arrays["rotations"] = (orientations.rotations, ("orientation", "row", "column"))
     return arrays
 
 
-def group(head: Head) -> bytes:
-    """The document of the group."""
+def group_document(head: Head) -> bytes:
+    """The document of the zarr group, with a checksum of its attributes."""
     attributes = {
         "ikjax_schema": SCHEMA,
         "fingerprint": fingerprint(head.spec),
@@ -280,64 +319,64 @@ def group(head: Head) -> bytes:
         "spec": head.spec,
         "arm": head.arm,
     }
-    attributes["checksum"] = hashlib.sha256(canonical(attributes).encode()).hexdigest()
+    attributes["checksum"] = hashlib.sha256(canonical_json(attributes).encode()).hexdigest()
     return _document({"zarr_format": 3, "node_type": "group", "attributes": attributes})
 
 
 def read_group(document: bytes | None) -> Head | None:
-    """What a group's document says, or None if it is none of this schema or not as it was written."""
+    """What a group's document says; None if it is missing, of another schema, or not as it was written."""
     try:
-        said = json.loads(document or b"")["attributes"]
-        head = Head(said["spec"], said["arm"], tuple(said["chunk"]), said["state"], said["seconds"])
-        return head if group(head) == document else None
+        stored = json.loads(document or b"")["attributes"]
+        head = Head(stored["spec"], stored["arm"], tuple(stored["chunk"]), stored["state"], stored["seconds"])
+        return head if group_document(head) == document else None
     except (ValueError, KeyError, TypeError, RecursionError):
         return None
 
 
 def schema_of(document: bytes | None) -> int | None:
-    """The schema that a group's document names, if it names any."""
+    """The schema that a group's document names; None if it names none."""
     try:
         return int(json.loads(document or b"")["attributes"]["ikjax_schema"])
     except (ValueError, KeyError, TypeError, RecursionError):
         return None
 
 
-def arrays(head: Head) -> dict[str, dict]:
-    """The metadata of every array, by name."""
-    mark = {"fingerprint": fingerprint(head.spec)}
-    table = {}
-    for name, said in head.spec["statistics"].items():
-        shape, chunk = [*head.shape, *said["shape"]], [*head.chunk, *said["shape"]]
-        table[name] = _array(said["dtype"], shape, chunk, [*head.axes, *said["axes"]], mark)
-    for name, said in head.spec["fixed"].items():
-        table[name] = _array("float64", said["shape"], said["shape"], said["axes"], mark)
-    return table
+def array_metadata(head: Head) -> dict[str, dict[str, Any]]:
+    """The zarr metadata of every array, by name."""
+    attributes = {"fingerprint": fingerprint(head.spec)}
+    metadata = {}
+    for name, spec in head.spec["statistics"].items():
+        shape, chunk = [*head.shape, *spec["shape"]], [*head.chunk, *spec["shape"]]
+        metadata[name] = _zarr_array(spec["dtype"], shape, chunk, [*head.axes, *spec["axes"]], attributes)
+    for name, spec in head.spec["fixed"].items():
+        metadata[name] = _zarr_array("float64", spec["shape"], spec["shape"], spec["axes"], attributes)
+    return metadata
 
 
-def _array(kind: str, shape: list, chunk: list, axes: list, mark: dict) -> dict:
+def _zarr_array(dtype: str, shape: list, chunk: list, axes: list, attributes: dict) -> dict[str, Any]:
     return {
         "zarr_format": 3,
         "node_type": "array",
         "shape": shape,
-        "data_type": kind,
+        "data_type": dtype,
         "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": chunk}},
         "chunk_key_encoding": {"name": "default", "configuration": {"separator": "/"}},
-        # A reader that takes a missing chunk for the fill value shall see that it is none.
-        "fill_value": {"int32": -1, "uint32": 2**32 - 1}.get(kind, "NaN"),
+        # Not zero: readers that fill in missing chunks must not show them as positions out of reach.
+        "fill_value": {"int32": -1, "uint32": 2**32 - 1}.get(dtype, "NaN"),
         "codecs": [{"name": "bytes", "configuration": {"endian": "little"}}, {"name": "crc32c"}],
         "dimension_names": axes,
-        # So that every document says which map it is of, if the group's own is lost.
-        "attributes": mark,
+        # Every document says which map it belongs to, in case the group's own is lost.
+        "attributes": attributes,
     }
 
 
 def array_documents(head: Head) -> dict[str, bytes]:
     """The documents of all arrays, by key."""
-    return {f"{name}/zarr.json": _document(metadata) for name, metadata in arrays(head).items()}
+    return {f"{name}/zarr.json": _document(metadata) for name, metadata in array_metadata(head).items()}
 
 
 def chunk_of(document: bytes | None) -> tuple[int, ...] | None:
-    """The chunk that an array's document names, if it names any."""
+    """The chunk that an array's document names; None if it names none."""
     try:
         return tuple(map(int, json.loads(document or b"")["chunk_grid"]["configuration"]["chunk_shape"]))
     except (ValueError, KeyError, TypeError, RecursionError):

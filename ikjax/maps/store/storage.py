@@ -1,13 +1,16 @@
-"""Where maps lie: a folder, or any key-value store that tensorstore reaches by URL.
+"""Where maps are stored: a folder, or any key-value store that tensorstore reaches by URL.
 
-Needs the extra `sweep`. The one file that knows of key-value stores: `file://`,
-`memory://`, `s3://`, `gs://` and whatever else tensorstore names. A value is written whole or not at
-all, and on a file system it is synced before the write counts as done.
+Needs the extra `sweep`. This is the only file that knows key-value stores: `file://`, `memory://`, `s3://`,
+`gs://` and whatever else tensorstore offers. A value is written whole or not at all, and on a file system it
+is synced before the write counts as done.
 """
 
+import contextlib
 import functools
+import os
 import pathlib
 import urllib.parse
+from collections.abc import Iterator
 from typing import Any
 
 
@@ -16,6 +19,11 @@ class StorageError(OSError):
 
 
 def tensorstore() -> Any:
+    """The module, imported at first use: `import ikjax` does not need it.
+
+    Raises:
+        ImportError: It is not installed; the message says how to install it.
+    """
     try:
         import tensorstore
     except ImportError as error:
@@ -25,23 +33,34 @@ def tensorstore() -> Any:
 
 @functools.cache
 def _context() -> Any:
-    # One for the process: what is in memory:// belongs to its context.
+    # One for the whole process, because values in memory:// belong to their context.
     return tensorstore().Context({"file_io_sync": True})
 
 
-class Place:
+class Storage:
     """Keys and values below one path or URL."""
 
-    def __init__(self, where):
+    def __init__(self, where: str | os.PathLike):
+        """Open a storage; nothing is written yet.
+
+        Args:
+            where: A folder, which need not exist, or a URL that tensorstore knows.
+
+        Raises:
+            FileExistsError: There is a file of that name.
+            ValueError: Nothing that tensorstore can open.
+        """
         ts = tensorstore()
         self.name = str(where).rstrip("/")
         self.folder: pathlib.Path | None = None
-        """The folder, where it is one."""
+        """The folder; None of other stores."""
         if "://" not in self.name or self.name.startswith("file://"):
             path = urllib.parse.unquote(urllib.parse.urlsplit(self.name).path)
             self.folder = pathlib.Path(path if "://" in self.name else self.name).absolute()
             if self.folder.exists() and not self.folder.is_dir():
                 raise FileExistsError(f"{self.folder} exists and is no map; it is left alone")
+        self.beside: Any
+        """The tensorstore view whose keys begin with the name itself, as the key of the lock does."""
         spec = self.name if self.folder is None else {"driver": "file", "path": str(self.folder)}
         try:
             self.beside = ts.KvStore.open(spec, context=_context()).result()
@@ -53,64 +72,65 @@ class Place:
         return self.name
 
     def read(self, key: str) -> bytes | None:
-        """The value, or None where there is none."""
+        """The value; None if there is none.
+
+        Raises:
+            StorageError: The store cannot be read.
+        """
         try:
-            found = self._inside.read(key).result()
+            result = self._inside.read(key).result()
         except (ValueError, OSError) as error:
             raise StorageError(f"{self}: cannot read {key}: {_short(error)}") from error
-        return found.value if found.state == "value" else None
+        return result.value if result.state == "value" else None
 
     def write(self, key: str, value: bytes) -> None:
-        with self.storing(key):
+        """Write one value, and wait until it is stored."""
+        with self.writing(key):
             self._inside.write(key, value).result()
 
     def keys(self, prefix: str = "") -> set[str]:
-        """Every key that begins with `prefix`."""
+        """Every key that begins with `prefix`.
+
+        Raises:
+            StorageError: The store cannot be listed.
+        """
         try:
-            found = (self._inside / prefix).list().result() if prefix else self._inside.list().result()
+            names = (self._inside / prefix).list().result() if prefix else self._inside.list().result()
         except (ValueError, OSError) as error:
             raise StorageError(f"{self}: cannot list {prefix or 'it'}: {_short(error)}") from error
-        return {prefix + key.decode() for key in found}
+        return {prefix + key.decode() for key in names}
 
     def delete(self, prefix: str) -> None:
-        """Everything below `prefix`."""
-        with self.storing(prefix):
+        """Delete every key that begins with `prefix`."""
+        with self.writing(prefix):
             (self._inside / prefix).delete_range(tensorstore().KvStore.KeyRange()).result()
 
     def remove(self, key: str) -> None:
-        """One value."""
-        with self.storing(key):
+        """Delete one key."""
+        with self.writing(key):
             self._inside.write(key, None).result()
 
-    def array(self, name: str, metadata: dict) -> Any:
-        """A tensorstore array of stated metadata; what its own zarr.json says is not asked."""
+    def array(self, name: str, metadata: dict[str, Any]) -> Any:
+        """The tensorstore array of that name with the metadata given; its own zarr.json is not read."""
         spec = {
             "driver": "zarr3",
             "open": True,
             "metadata": metadata,
             "assume_metadata": True,
-            # A chunk that is not there is lost data here, not a block of the fill value.
+            # A missing chunk is lost data here, not a block of the fill value.
             "fill_missing_data_reads": False,
             "store_data_equal_to_fill_value": True,
         }
         kvstore = self._inside / f"{name}/"
         return tensorstore().open(spec, kvstore=kvstore, context=_context()).result()
 
-    def storing(self, what: str) -> "_Storing":
+    @contextlib.contextmanager
+    def writing(self, what: str) -> Iterator[None]:
         """A block in which an error of the store becomes a `StorageError` that names `what`."""
-        return _Storing(self, what)
-
-
-class _Storing:
-    def __init__(self, place: Place, what: str):
-        self.place, self.what = place, what
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, kind, error, _) -> None:
-        if isinstance(error, (ValueError, OSError)):
-            raise StorageError(f"{self.place}: cannot write {self.what}: {_short(error)}") from error
+        try:
+            yield
+        except (ValueError, OSError) as error:
+            raise StorageError(f"{self}: cannot write {what}: {_short(error)}") from error
 
 
 def _short(error: BaseException) -> str:

@@ -1,4 +1,16 @@
-"""The families: one closed form a file, in the order of `arm.recognition.rules.RULES`."""
+"""The families: one file for each closed form, in the order of `arm.recognition.rules.RULES`.
+
+Each file has a function `branches` with the same arguments and result:
+
+    signs       what the kernel must know besides the numbers, see `arm.recognition.signs`
+    links       the DH table, lengths in units of the reach
+    goal        the pose of the last frame, seen from frame 0
+    setting     fallback joint values and tolerances, see `solvers.context.Setting`
+    result      one `Branch` for each slot, in slot order
+
+Bit k of a slot's number (0 for the lowest) is clear for the first of the two answers that the header of the
+file names, and set for the second.
+"""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -6,7 +18,7 @@ from typing import NamedTuple
 from ikjax.solvers.context import Branch, Joints
 from ikjax.solvers.families import (
     five_axis,
-    five_held,
+    five_locked,
     five_nearest,
     ortho_parallel_wrist,
     parallel_axes,
@@ -19,22 +31,24 @@ from ikjax.solvers.families import (
 
 
 class Family(NamedTuple):
-    """A closed form, and where its slots part."""
+    """A closed form, and which joints its slots have in common."""
 
     branches: Callable[..., tuple[Branch, ...]]
     """(signs, links, goal, setting) -> every slot."""
     first: int
-    """So many first joints are shared by slots that differ in the rest."""
+    """This many first joints are the same in slots that differ in the rest."""
     last: int
-    """So many last joints likewise."""
+    """This many last joints likewise."""
     small: bool = False
     """XLA can compute all masks in one fused loop; see `ik.inline`."""
     nearest: Callable[..., tuple[Branch, ...]] | None = None
-    """Every slot for a goal that cannot be reached, where clamping `branches` would not hold its point."""
-    held: Callable[..., list[Joints]] | None = None
-    """(signs, links, goal, setting, ends) -> joints likewise, one of them at one of its ends."""
-    may_hold: tuple[int, ...] = ()
-    """Joints that `held` holds."""
+    """Every slot for a goal that cannot be reached; None where the clamped answers of `branches` will do. It
+    attains the goal's point where that can be reached, with the nearest orientation."""
+    locked: Callable[..., list[Joints]] | None = None
+    """(signs, links, goal, setting, limits) -> joints likewise, with one of them locked at one of its
+    limits."""
+    lockable: tuple[int, ...] = ()
+    """The joints that `locked` can lock, counted from 0."""
 
 
 FAMILIES = {
@@ -50,8 +64,8 @@ FAMILIES = {
         last=0,
         small=True,
         nearest=five_nearest.branches,
-        held=five_held.branches,
-        may_hold=five_held.HELD,
+        locked=five_locked.branches,
+        lockable=five_locked.LOCKABLE,
     ),
     "turret": Family(scara.turret_branches, first=0, last=0, small=True),
     "planar_pose": Family(planar.branches, first=0, last=0, small=True),

@@ -1,22 +1,24 @@
-"""The `five_axis` arms, for a goal that they need not reach: the point held, the orientation nearest.
+"""The `five_axis` arms, for any goal: the point is attained, the orientation is the nearest.
 
-Branches: those of `five_axis`. Arguments, frames and signs are the same.
+Branches and bits: those of `five_axis`. Arguments, frames and signs are the same.
 
 Steps:
-1. foot: where the tool point, in the goal's orientation, has its foot on axis 5. The point of a tool on
-   axis 5 is its own foot, however the tool is rolled.
-2. shoulder: the foot stands a known way along axis 2, so joint 1 brings it into the arm's plane.
+1. foot: the foot of the tool point on axis 5, in the goal's orientation. A tool point on axis 5 is its own
+   foot, however the tool is rolled.
+2. shoulder: the foot is at a known distance along axis 2, so joint 1 brings it into the arm's plane.
 3. pitch: what is left of the orientation is Rz(pitch) Rx(tilt) Rz(roll). With half angles its quaternion's
    overlap with the goal's (w, x, y, z) is
        cos(tilt/2) (w cos s + z sin s) + sin(tilt/2) (x cos d + y sin d),   s, d = (pitch +- roll) / 2,
-   two terms, largest each on its own. As an angle of the goal's matrix, the best pitch turns axis 5 in the
-   plane to under the wanted one. Off the best pitch the overlap only falls, to either side alike.
-4. reach: the links reach axis 4 where its distance from axis 2 is within their ring, which is an interval of
-   pitches to either side of the foot's direction; the best pitch goes to the nearest end. Where no pitch will
-   do, that end points straight at the foot, or away from it, and the triangle ends as near as it can.
+   two terms, each of which is maximized on its own. As an angle of the goal's matrix, at the best pitch axis
+   5 is along the projection of the wanted one onto the plane. On either side of the best pitch the overlap
+   falls, and equally.
+4. reach: the links reach axis 4 where its distance from axis 2 is within their ring. This is an interval of
+   pitches on either side of the foot's direction, and the best pitch is moved to the nearest end. Where no
+   pitch will do, that end points straight at the foot, or away from it, and the triangle ends as near as it
+   can.
 5. roll: the best for that pitch, from the trace. Then the triangle: joints 2, 3, 4.
-A tool point off axis 5 has its foot where the attained orientation has it: all steps but the triangle are
-gone through again, and the point is held to what `ROUNDS` leave.
+The foot of a tool point off axis 5 depends on the attained orientation: all steps but the triangle are a
+fixed-point iteration, and the point is attained to what `ROUNDS` of it leave.
 
 Source: Craig, Introduction to Robotics, 3rd ed., section 4.7, turns the goal's tool axis into the arm's
 plane: that is step 3 where axis 5 is square to axis 4. The rest is ours.
@@ -27,6 +29,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from ikjax.arm.forward import Joint, Link, unwind
+from ikjax.arm.recognition.signs import FiveAxisSigns
 from ikjax.core import safe, vector
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Scalar, SinCos
@@ -38,7 +41,7 @@ from ikjax.solvers.steps.shoulder import Shoulder, shoulder
 from ikjax.solvers.steps.triangle import ring, triangle
 
 ROUNDS = 3
-"""Times that the foot is looked for where the tool point is off axis 5."""
+"""Iterations for the foot where the tool point is off axis 5."""
 
 
 class Hand(NamedTuple):
@@ -54,10 +57,10 @@ class Hand(NamedTuple):
 
 
 def branches(
-    signs: tuple[int, ...], links: tuple[Link, ...], goal: Pose, setting: Setting
+    signs: FiveAxisSigns, links: tuple[Link, ...], goal: Pose, setting: Setting
 ) -> tuple[Branch, ...]:
     """All four slots for one goal."""
-    up, s1, *_ = signs
+    up, s1 = signs.up, signs.sin_alpha1
     one, two, three, four = links[:4]
     slots: dict[int, Branch] = {}
     for first in (0, 1):
@@ -77,28 +80,36 @@ def branches(
     return tuple(slots[slot] for slot in range(4))
 
 
-def hand_of(signs, links: tuple[Link, ...], goal: Pose, side: Scalar, setting: Setting) -> Hand:
+def hand_of(
+    signs: FiveAxisSigns, links: tuple[Link, ...], goal: Pose, side: Scalar, setting: Setting
+) -> Hand:
     """Joint 1 on one side, and the nearest hand that it allows."""
-    x, y, _ = setting.tool
-    point = vector.add(goal.position, vector.rotate(goal.rotation, setting.tool))
+    x, y, _ = setting.tool_point
+    point = vector.add(goal.position, vector.rotate(goal.rotation, setting.tool_point))
     off = vector.rotate(goal.rotation, (x, y, 0.0))
-    hand = _held(signs, links, goal, vector.subtract(point, off), side, setting)
+    hand = _hand_at(signs, links, goal, vector.subtract(point, off), side, setting)
     if isinstance(x, float) and isinstance(y, float) and x == y == 0:
         return hand
     for _ in range(ROUNDS - 1):
         off = _carried(signs, links, hand, (x, y))
-        hand = _held(signs, links, goal, vector.subtract(point, off), side, setting)
+        hand = _hand_at(signs, links, goal, vector.subtract(point, off), side, setting)
     return hand
 
 
-def _held(signs, links: tuple[Link, ...], goal: Pose, foot, side: Scalar, setting: Setting) -> Hand:
-    """The nearest hand with the foot held."""
-    _, _, c2, c3, s4 = signs
-    c23 = float(c2 * c3)
+def _hand_at(
+    signs: FiveAxisSigns,
+    links: tuple[Link, ...],
+    goal: Pose,
+    foot: vector.Vector,
+    side: Scalar,
+    setting: Setting,
+) -> Hand:
+    """The nearest hand whose foot is at a given point."""
+    c2, c23, s4 = float(signs.cos_alpha2), float(signs.cos_alpha23), signs.sin_alpha4
     one, two, three, four = links[:4]
     s, c = one.sin_alpha, one.cos_alpha
-    lateral = plus(plus(two.d, times(float(c2), three.d)), times(c23, four.d))
-    lateral = plus(lateral, times(times(c23, four.cos_alpha), setting.tool[2]))
+    lateral = plus(plus(two.d, times(c2, three.d)), times(c23, four.d))
+    lateral = plus(lateral, times(times(c23, four.cos_alpha), setting.tool_point[2]))
     x, y, z = foot
     lateral = times(safe.divide(1, s), plus(lateral, minus(times(c, plus(z, -one.d)))))
     base = shoulder(x, y, lateral, side, setting)
@@ -112,22 +123,30 @@ def _held(signs, links: tuple[Link, ...], goal: Pose, foot, side: Scalar, settin
     return Hand(base, (x, y), pitch, roll_of(signs, seen.rotation, pitch, four, setting), seen.rotation)
 
 
-def wrist_of(signs, four: Link, setting: Setting) -> tuple[Scalar, Scalar]:
+def wrist_of(signs: FiveAxisSigns, four: Link, setting: Setting) -> tuple[Scalar, Scalar]:
     """From axis 4 to the foot, at pitch zero."""
-    return four.a, times(-float(signs[2] * signs[3]), times(four.sin_alpha, setting.tool[2]))
+    return four.a, times(-float(signs.cos_alpha23), times(four.sin_alpha, setting.tool_point[2]))
 
 
 def turned(point: tuple[Scalar, Scalar], angle: SinCos) -> tuple[Scalar, Scalar]:
+    """A vector of a plane, turned by an angle."""
     (x, y), (sine, cosine) = point, angle
     return plus(times(x, cosine), times(-sine, y)), plus(times(x, sine), times(cosine, y))
 
 
 def _reachable(pitch: SinCos, foot, wrist, two: Link, three: Link) -> SinCos:
-    """The nearest pitch at which the links reach axis 4."""
+    """The nearest pitch at which the links reach axis 4.
+
+    Args:
+        pitch: The best pitch.
+        foot: In frame 1.
+        wrist: From axis 4 to the foot, at pitch zero.
+        two, three: The links.
+    """
     low, high = ring(two.a, three.a)
     (x, y), (u, v) = foot, turned(wrist, pitch)
     far, span = x * x + y * y, plus(times(wrist[0], wrist[0]), times(wrist[1], wrist[1]))
-    # |foot - (u, v)| is within the ring where their product is between these.
+    # |foot - (u, v)| is within the ring where their dot product is between two bounds (law of cosines).
     product, cross = x * u + y * v, x * v - y * u
     middle = (far + span) / 2
     most = safe.sqrt(far * span)
@@ -135,7 +154,7 @@ def _reachable(pitch: SinCos, foot, wrist, two: Link, three: Link) -> SinCos:
     wanted = jnp.clip(wanted, -most, most)
     height = safe.sign(cross) * safe.sqrt((most - wanted) * (most + wanted))
     scale = safe.divide(1, far * span)
-    # Turned by the angle from what is to what is wanted, both seen from the foot's direction.
+    # The pitch is turned from the present angle to the wanted one, both against the foot's direction.
     sine = (height * product - wanted * cross) * scale
     cosine = (wanted * product + height * cross) * scale
     stays = (wanted == product) | (scale == 0)
@@ -143,9 +162,14 @@ def _reachable(pitch: SinCos, foot, wrist, two: Link, three: Link) -> SinCos:
     return pitch[0] * cosine + pitch[1] * sine, pitch[1] * cosine - pitch[0] * sine
 
 
-def roll_of(signs, rotation, pitch: SinCos, four: Link, setting: Setting) -> SinCos:
-    """The roll that brings Rz(pitch) Rx(tilt) Rz(roll) nearest to a rotation seen from frame 1."""
-    (p_sin, p_cos), c23 = pitch, float(signs[2] * signs[3])
+def roll_of(
+    signs: FiveAxisSigns, rotation: vector.Matrix, pitch: SinCos, four: Link, setting: Setting
+) -> SinCos:
+    """The roll that brings Rz(pitch) Rx(tilt) Rz(roll) nearest to a rotation seen from frame 1.
+
+    It maximizes the trace, which is a cosine and sine of the roll.
+    """
+    (p_sin, p_cos), c23 = pitch, float(signs.cos_alpha23)
     ahead = [p_cos * rotation[0][k] + p_sin * rotation[1][k] for k in (0, 1)]
     aside = [p_cos * rotation[1][k] - p_sin * rotation[0][k] for k in (0, 1)]
     t_sin, t_cos = times(c23, four.sin_alpha), times(c23, four.cos_alpha)
@@ -155,10 +179,10 @@ def roll_of(signs, rotation, pitch: SinCos, four: Link, setting: Setting) -> Sin
     return pin(sine * weight), pin(jnp.where(weight == 0, 1, cosine * weight))
 
 
-def _carried(signs, links: tuple[Link, ...], hand: Hand, tool) -> vector.Vector:
-    """What stands off axis 5, as the hand holds it, seen from frame 0."""
+def _carried(signs: FiveAxisSigns, links: tuple[Link, ...], hand: Hand, tool) -> vector.Vector:
+    """A vector in the hand square to axis 5, seen from frame 0."""
     one, four = links[0], links[3]
-    c23 = float(signs[2] * signs[3])
+    c23 = float(signs.cos_alpha23)
     t_sin, t_cos = times(c23, four.sin_alpha), times(c23, four.cos_alpha)
     x, y = turned(tool, hand.roll)
     y, z = times(t_cos, y), times(t_sin, y)

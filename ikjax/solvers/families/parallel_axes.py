@@ -1,20 +1,25 @@
-"""Six turning joints of which three in a row are parallel, wherever they stand, and the rest anyhow.
+"""Six turning joints, three consecutive axes of which are parallel; the others have any direction.
 
 Branches: 8.
 
-Frames: axes at DH zero, seen from frame 0. h is the direction of the parallel axes. The kernel knows
-them as 2, 3, 4 or as 4, 5, 6; for 3, 4, 5 and 1, 2, 3 it solves the arm read from the tool to the base.
+Frames: axes at DH zero, seen from frame 0. h is the direction of the parallel axes. The kernel solves for
+parallel axes 2, 3, 4 or 4, 5, 6; an arm with 3, 4, 5 or 1, 2, 3 is read from the tool to the base.
 
 Steps:
-1. Two facts hold whatever the parallel joints do: how far along h the hand is, and the angle of axis 6
-   (or of axis 1's next) to h. Both are linear in the cosines and sines of two other joints, A and B.
-   Solved for B, its cosine and sine make a quartic in A; where the arm's own numbers do not allow
-   that, one combination has A alone, and then the other gives B.
+1. Two facts do not depend on the parallel joints: how far along h the hand is, and the angle of an axis to h
+   (of axis 6 for 2, 3, 4; of axis 2 for 4, 5, 6). Both are linear in the cosines and sines of two
+   other joints, A and B. Solved for the cosine and sine of B, whose squares add up to one, they give a
+   quartic in A. Where the arm's own numbers do not allow that (`PairSplit`), a combination of the two has A
+   alone, and then the other gives B.
 2. The last joint that is not parallel, C, turns one known direction to another.
-3. What is left is planar: two answers.
+3. planar: the three parallel joints, two answers.
 
-Bits: 1 elbow left or right; 2 and 3 whether the quartic rises or falls, then the order of its two roots
-from -pi; where it splits, the signs of the derivatives of the equations for A and B.
+Bits:
+1. left or right: the elbow of the parallel joints.
+2. rising or falling: the sign of the quartic's derivative at the root for A. If the equations split: b+ or
+   b-, the sign of the derivative of the equation for B.
+3. low or high: the order of the two such roots from -pi. If the equations split: a+ or a-, the sign of the
+   derivative of the equation for A.
 
 Source: three parallel axes are Pieper's second case (1968); the elimination is that of subproblem 6 of
 Elias and Wen, IK-Geo (2022), in circle form.
@@ -25,11 +30,12 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from ikjax.arm.forward import Link
+from ikjax.arm.recognition.signs import PairSplit, ParallelAxesSigns
 from ikjax.core import pose as poses
 from ikjax.core import safe, vector
 from ikjax.core.pose import Pose
 from ikjax.core.roots import circle_quartic, cosine_sine
-from ikjax.core.trig import Angle, Scalar, SinCos, nudged
+from ikjax.core.trig import Angle, Scalar, SinCos, add_small_angle
 from ikjax.core.vector import Vector
 from ikjax.core.xla import agreed, pin
 from ikjax.solvers.context import Branch, Setting
@@ -55,37 +61,38 @@ class Pair(NamedTuple):
     second: Angle
     margin: Scalar
     free: Scalar = False
-    """One of them is arbitrary."""
+    """Whether one of them is arbitrary."""
 
 
-def branches(signs: tuple, links: tuple[Link, ...], goal: Pose, setting: Setting) -> tuple[Branch, ...]:
+def branches(
+    signs: ParallelAxesSigns, links: tuple[Link, ...], goal: Pose, setting: Setting
+) -> tuple[Branch, ...]:
     """All eight slots for one goal.
 
-    Arguments as in `pieper`; signs: the first of the parallel axes, 1 to 4; whether the equations split;
-    and each parallel axis against the first.
+    Arguments as in `pieper`.
     """
-    place, splits, *along = signs
+    place, split, *along = signs
     axes, tip = axes_of(links)
     if place in (2, 4):
         solve = _inner if place == 2 else _last
-        found = solve(axes, tip, goal, splits, along, setting)
-        return tuple(Branch(joints, goal, margin, free) for joints, margin, free in found)
-    # The inverse of a product of turns about axes is the product, in the other order, of turns the
-    # other way about the same axes, seen from the tip.
+        ways = solve(axes, tip, goal, split, along, setting)
+        return tuple(Branch(joints, goal, margin, free) for joints, margin, free in ways)
+    # The inverse of a product of rotations about axes is the product, in the other order, of the inverse
+    # rotations about the same axes, seen from the tip.
     solve = _inner if place == 3 else _last
     back = tuple(seen_from(tip, axis) for axis in axes[::-1])
-    now = tuple(Angle(-j.sin, j.cos, -j.value) for j in setting.now[::-1])
-    setting = setting._replace(now=now)
+    fallback = tuple(Angle(-j.sin, j.cos, -j.value) for j in setting.fallback[::-1])
+    setting = setting._replace(fallback=fallback)
     along = [sign * along[-1] for sign in along[::-1]]
-    found = solve(back, poses.inverse(tip), poses.inverse(goal), splits, along, setting)
+    ways = solve(back, poses.inverse(tip), poses.inverse(goal), split, along, setting)
     slots = []
-    for joints, margin, free in found:
+    for joints, margin, free in ways:
         turned_back = tuple(Angle(-j.sin, j.cos, -j.value) for j in joints[::-1])
         slots.append(Branch(turned_back, goal, margin, free))
     return tuple(slots)
 
 
-def _inner(axes, tip: Pose, goal: Pose, splits: str, along, setting: Setting):
+def _inner(axes, tip: Pose, goal: Pose, split: PairSplit, along, setting: Setting):
     """Axes 2, 3, 4 parallel: A = 1, B = 5, C = 6."""
     one, two, _, _, five, six = axes
     h = two.along
@@ -104,11 +111,11 @@ def _inner(axes, tip: Pose, goal: Pose, splits: str, along, setting: Setting):
         ),
     )
     answers = []
-    for pair in _pairs(equations, splits, (0, 4), setting):
+    for pair in _pairs(equations, split, (0, 4), setting):
         a, b = pair.first, pair.second
         wanted = vector.rotate(vector.transpose(change), turned(one.along, a.sin, a.cos, h))
         c, free = _turn_to(six, turned(five.along, -b.sin, b.cos, h), wanted, 5, setting, backwards=True)
-        # What 2, 3, 4 have to do to the hand.
+        # The parallel joints have to move `hand` to `rest`.
         rest = pose_turned(one, -a.sin, a.cos, goal)
         hand = pose_turned(five, b.sin, b.cos, pose_turned(six, c.sin, c.cos, tip))
         for way in _planar(axes[1:4], hand, rest, along, setting, 1):
@@ -117,7 +124,7 @@ def _inner(axes, tip: Pose, goal: Pose, splits: str, along, setting: Setting):
     return answers
 
 
-def _last(axes, tip: Pose, goal: Pose, splits: str, along, setting: Setting):
+def _last(axes, tip: Pose, goal: Pose, split: PairSplit, along, setting: Setting):
     """Axes 4, 5, 6 parallel: A = 1, B = 3, C = 2."""
     one, two, three, four, _, six = axes
     h = four.along
@@ -137,7 +144,7 @@ def _last(axes, tip: Pose, goal: Pose, splits: str, along, setting: Setting):
     c, d, other = component(fore, three.along, h)
     second = Equation(a, b, c, d, height - rest - other)
     answers = []
-    for pair in _pairs((first, second), splits, (0, 2), setting):
+    for pair in _pairs((first, second), split, (0, 2), setting):
         a, b = pair.first, pair.second
         start = turned(three.along, b.sin, b.cos, h)
         wanted = turned(one.along, -a.sin, a.cos, facing)
@@ -159,7 +166,7 @@ def _facing(h: Vector, one: Axis, five: Axis, far: Vector, near: Vector, gap: Sc
 
 def _planar(axes, tip: Pose, goal: Pose, along, setting: Setting, first: int):
     up = axes[0].along
-    # Any direction square to the axes will do; the one to the next axis is there.
+    # Any direction square to the axes will do; that to the next axis is never zero.
     x = vector.subtract(axes[1].point, axes[0].point)
     x = vector.subtract(x, vector.scale(vector.dot(up, x), up))
     x = vector.scale(safe.reciprocal_sqrt(vector.dot(x, x)), x)
@@ -172,7 +179,7 @@ def _planar(axes, tip: Pose, goal: Pose, along, setting: Setting, first: int):
         heading_of(plane, tip, goal),
         plane.point(goal.position),
         plane.point(tip.position),
-        setting._replace(now=setting.now[first : first + 3]),
+        setting._replace(fallback=setting.fallback[first : first + 3]),
     )
 
 
@@ -183,16 +190,16 @@ def _turn_to(
     cosine, sine, _ = component(after, axis.along, before)
     sine = -sine if backwards else sine
     size = sine * sine + cosine * cosine
-    free = size <= setting.tiny**2
+    free = size <= setting.zero_tolerance**2
     weight = safe.reciprocal_sqrt(size)
     return setting.filled(joint, free, sine * weight, cosine * weight), free
 
 
-def _pairs(equations: tuple[Equation, Equation], splits: str, joints, setting: Setting) -> list[Pair]:
+def _pairs(equations: tuple[Equation, Equation], split: PairSplit, joints, setting: Setting) -> list[Pair]:
     """Joints A and B from their two equations: four pairs."""
     one, two = equations
-    if splits in ("exactly", "within 1e-5"):
-        return _split_pairs(one, two, splits, joints, setting)
+    if split.is_split:
+        return _split_pairs(one, two, split, joints, setting)
     determinant = one.c * two.d - one.d * two.c
     weight = safe.divide(1, determinant)
 
@@ -201,7 +208,7 @@ def _pairs(equations: tuple[Equation, Equation], splits: str, joints, setting: S
 
     rows = [solved(u, v) for u, v in zip(one, two, strict=True)]
     (ac, as_), (bc, bs), _, _, (ec, es) = rows
-    # cos(B) = ec - ac cos(A) - bc sin(A), and the sine likewise; their squares add up to one.
+    # cos(B) = ec - ac cos(A) - bc sin(A), and sin(B) likewise; their squares add up to one.
     cos_squared, mixed, sin_squared = ac * ac + as_ * as_, ac * bc + as_ * bs, bc * bc + bs * bs
     harmonics = (
         (cos_squared - sin_squared) / 2,
@@ -212,37 +219,38 @@ def _pairs(equations: tuple[Equation, Equation], splits: str, joints, setting: S
     )
     scale = safe.divide(1, sum(abs(x) for x in harmonics))
     harmonics = tuple(agreed(x * scale) for x in harmonics)
-    found = circle_quartic(harmonics)
+    four = circle_quartic(harmonics)
 
     def length(value, sine, cosine):
-        # The right side of the second equation follows the goal along h, one for one.
+        # The derivative of the polynomial with respect to the goal's position along h, which is on the right
+        # side of the second equation with the factor one.
         cos_b, sin_b = ec - ac * cosine - bc * sine, es - as_ * cosine - bs * sine
-        slope = 2 * scale * abs(weight * (one.c * sin_b - one.d * cos_b))
-        return value / jnp.maximum(slope, setting.tiny)
+        derivative = 2 * scale * abs(weight * (one.c * sin_b - one.d * cos_b))
+        return value / jnp.maximum(derivative, setting.zero_tolerance)
 
     pairs = []
-    in_order = (found.rising[0], found.falling[0], found.rising[1], found.falling[1])
+    in_order = (four.rising[0], four.falling[0], four.rising[1], four.falling[1])
     for root, rise in zip(in_order, (1, -1, 1, -1), strict=True):
         cosine, sine = ec - ac * root.cos - bc * root.sin, es - as_ * root.cos - bs * root.sin
         size = safe.reciprocal_sqrt(cosine * cosine + sine * sine)
         turn = pin(sine * size), pin(jnp.where(size == 0, 1, cosine * size))
         start, real, steps, largest = (root.sin, root.cos), root.real, 1, setting.rounding**0.25
-        if setting.close_pairs(splits):
+        if setting.close_pairs(split):
             turn = _side_of_close_pair(equations, start, rise, setting)
-            # What is left of a complex pair may be a real one that rounding hides, but only nearby.
+            # A pair that came out as complex may be real but for rounding; then its roots are nearby.
             steps, largest, real = 4, jnp.where(root.real, 0.3, 4 * largest), True
         first, second = _polished(equations, start, turn, real, setting, steps, largest)
-        pairs.append(Pair(first, second, clearance(harmonics, found, root, length)))
+        pairs.append(Pair(first, second, clearance(harmonics, four, root, length)))
     return pairs
 
 
 def _separated(one: Equation, two: Equation) -> tuple[Equation, Equation]:
-    """The two combinations of unit weights with least and with most of joint B."""
+    """The two combinations, of weights of norm one, with the least and with the most of joint B."""
     size_one, size_two = one.c * one.c + one.d * one.d, two.c * two.c + two.d * two.d
     both = one.c * two.c + one.d * two.d
     weight = safe.reciprocal_sqrt(size_one * size_one + both * both)
     other = safe.reciprocal_sqrt(size_two * size_two + both * both)
-    # (p, q) is along the ratio of the two, from the larger.
+    # (p, q) is along the ratio of the two rows, computed from the larger one.
     larger, smaller = (size_one * weight, both * weight), (both * other, size_two * other)
     if isinstance(size_one, float) and isinstance(size_two, float):
         p, q = larger if size_one >= size_two else smaller
@@ -254,37 +262,38 @@ def _separated(one: Equation, two: Equation) -> tuple[Equation, Equation]:
 
 
 def _side_of_close_pair(equations, first: SinCos, rise: int, setting: Setting) -> SinCos:
-    """Joint B at a root for A of equations that all but split.
+    """Joint B at a root for A of equations that nearly split.
 
-    What is left of B in `alone` is a small factor times B's height, so the roots for A come in close pairs,
-    one with either sign of the height; where rounding hides it, it is told by which of the two rises.
+    The part of B in `alone` is a small factor times the height of B (the derivative of `with_b`), so the
+    roots for A come in close pairs, one with each sign of the height. Where rounding hides the sign, it
+    follows from which of the two roots is rising.
     """
     alone, with_b = _separated(*equations)
     sine, cosine = first
     value = alone.e - alone.a * cosine - alone.b * sine
-    slope = alone.a * sine - alone.b * cosine
+    derivative = alone.a * sine - alone.b * cosine
     factor = with_b.c * alone.d - with_b.d * alone.c
     noise = 4 * setting.rounding**0.5
     turned = jnp.where(factor > 0, -1, 1).astype(value.dtype)
-    told = jnp.where(abs(value) > noise, safe.sign(value), rise * safe.sign(slope)) * turned
+    side = jnp.where(abs(value) > noise, safe.sign(value), rise * safe.sign(derivative)) * turned
     rest = with_b.e - with_b.a * cosine - with_b.b * sine
-    root = cosine_sine(with_b.c, with_b.d, rest, told, noise=setting.noise)
+    root = cosine_sine(with_b.c, with_b.d, rest, side, noise=setting.length_uncertainty)
     return pin(root.sin), pin(root.cos)
 
 
 def _polished(
     equations, first: SinCos, second: SinCos, real, setting: Setting, steps: int, largest: Scalar
 ) -> tuple[Angle, Angle]:
-    """Newton steps on A and B in their own equations: the quartic squares them, and rounding with them.
+    """A and B after Newton steps on their equations: the quartic squares these, and rounding with them.
 
     Args:
         equations: The two.
         first, second: A and B.
         real: Whether there is a root to go to.
-        setting: What holds values.
-        steps: How many.
-        largest: The largest that is believed [rad]: a larger one is not the correction of a small error, and
-            would lead to another branch.
+                setting: Pins values.
+        steps: How many steps.
+        largest: The largest step that is taken [rad]: a larger one is not the correction of a small error,
+            and would lead to another branch.
     """
     for _ in range(steps):
         rows = []
@@ -296,7 +305,7 @@ def _polished(
         moves = (gap * s - other * q) * weight, (other * p - gap * r) * weight
         small = real & (jnp.maximum(*map(abs, moves)) < largest)
         moved = [
-            nudged(*joint, jnp.where(small, move, 0))
+            add_small_angle(*joint, jnp.where(small, move, 0))
             for joint, move in zip((first, second), moves, strict=True)
         ]
         first, second = (tuple(map(pin, joint)) for joint in moved)
@@ -305,15 +314,15 @@ def _polished(
 
 
 STEPS = 8
-"""From equations that split to those that do so within 1e-5: beside a fold a step only halves the error, and
-1e-5 counts there by its square root."""
+"""Newton steps where the equations split within 1e-5. At a fold a step only halves the error, and there 1e-5
+moves the joints by its square root."""
 
 
-def _split_pairs(one: Equation, two: Equation, splits: str, joints, setting: Setting) -> list[Pair]:
-    """Where B's coefficients are proportional: the combination without B, and the one with most of it."""
+def _split_pairs(one: Equation, two: Equation, split: PairSplit, joints, setting: Setting) -> list[Pair]:
+    """Joints A and B where B's coefficients are proportional: A from the combination without B, then B."""
     alone, with_b = _separated(one, two)
-    noise = setting.noise
-    if splits != "exactly":
+    noise = setting.length_uncertainty
+    if split != PairSplit.EXACTLY:
         # So that the true root lies between the two starts.
         noise = noise + abs(alone.c) + abs(alone.d)
     pairs = []
@@ -325,7 +334,7 @@ def _split_pairs(one: Equation, two: Equation, splits: str, joints, setting: Set
             deep = cosine_sine(with_b.c, with_b.d, rest, side_b, noise=noise)
             second = setting.filled(joints[1], deep.free, deep.sin, deep.cos)
             pair = Pair(first, second, jnp.minimum(root.margin, deep.margin), root.free | deep.free)
-            if splits != "exactly":
+            if split != PairSplit.EXACTLY:
                 ends = (first.sin, first.cos), (second.sin, second.cos)
                 turns = _polished((one, two), *ends, ~pair.free, setting, STEPS, 0.3)
                 pair = pair._replace(first=turns[0], second=turns[1])

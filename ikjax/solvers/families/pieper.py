@@ -1,24 +1,27 @@
 """Arms whose last three axes meet in a point, after any three joints, turning or sliding.
 
-Branches: twice those of `regional`, 8 for six turning joints.
+Branches: twice those of `regional.three_joints`; 8, 4 or 2.
 
-Frames: standard DH, a4 = a5 = d5 = 0. The wrist center is d4 along z of frame 3.
+Frames: standard DH, a4 = a5 = d5 = 0. The wrist center is at (0, 0, d4) in frame 3. s4, s5 are the signs of
+sin(alpha4), sin(alpha5).
 
 Steps:
 1. regional: joints 1, 2, 3 bring the wrist center where the goal has it.
-2. wrist: the rotation that is left gives joints 4, 5, 6.
+2. wrist: the rotation that is left: joints 4, 5, 6.
 
-Bits: those of `regional`, then noflip as in `ortho_parallel_wrist`.
+Bits: those of `regional.three_joints`, then noflip or flip as in `ortho_parallel_wrist`.
 
-The reversed arm, whose first three axes meet, is this one read from the tool to the base: the same
-links and joints in the other order, seen from frames turned half round about x.
+The reversed arm, whose first three axes meet, is this one read from the tool to the base: the same links and
+joints in the other order, seen from frames turned by half a turn about x.
 
-Source: Craig, Introduction to Robotics, 3rd ed., section 4.6.
+Source: Pieper, The kinematics of manipulators under computer control (1968), after Craig, Introduction to
+Robotics, 3rd ed., section 4.6; the reversed arm is ours.
 """
 
 import jax.numpy as jnp
 
 from ikjax.arm.forward import Link
+from ikjax.arm.recognition.signs import PieperSigns
 from ikjax.core import pose as poses
 from ikjax.core import safe, vector
 from ikjax.core.pose import Pose
@@ -28,23 +31,22 @@ from ikjax.solvers.steps.regional import three_joints
 from ikjax.solvers.steps.wrist import general_wrist, square_wrist
 
 
-def branches(signs: tuple, links: tuple[Link, ...], goal: Pose, setting: Setting) -> tuple[Branch, ...]:
+def branches(signs: PieperSigns, links: tuple[Link, ...], goal: Pose, setting: Setting) -> tuple[Branch, ...]:
     """All slots for one goal.
 
-    Arguments as in `ortho_parallel_wrist`; signs: how the regional equation splits, the signs of
-    sin(alpha4), sin(alpha5), and 1 for a wrist whose twists are right angles.
+    Arguments as in `ortho_parallel_wrist`.
     """
-    how, s4, s5, square = signs
+    s4, s5 = signs.sin_alpha4, signs.sin_alpha5
     four, five = links[3], links[4]
     twists = (four.sin_alpha, four.cos_alpha, five.sin_alpha, five.cos_alpha)
     pointing = s4 * safe.sign(four.d)
-    ways = three_joints.regional(links[:3], (0.0, 0.0, four.d), goal.position, how, setting)
+    ways = three_joints.regional(links[:3], (0.0, 0.0, four.d), goal.position, signs.split, setting)
     plain: list[Branch] = []
     flipped: list[Branch] = []
     for way in ways:
         seen = setting.unwind(goal, links, way.joints)
         across, _, along = vector.transpose(seen.rotation)
-        if square:
+        if signs.square_wrist:
             pair = square_wrist(along, across, (s4, s5), pointing, setting)
         else:
             pair = general_wrist(along, across, twists, pointing, setting)
@@ -56,20 +58,20 @@ def branches(signs: tuple, links: tuple[Link, ...], goal: Pose, setting: Setting
 
 
 def reversed_branches(
-    signs: tuple, links: tuple[Link, ...], goal: Pose, setting: Setting
+    signs: PieperSigns, links: tuple[Link, ...], goal: Pose, setting: Setting
 ) -> tuple[Branch, ...]:
-    """All slots of an arm whose wrist is at its base."""
+    """All slots of an arm whose first three axes meet in a point."""
     table, turned = reverse(links, goal)
-    now = (*setting.now[::-1],)
-    found = branches(signs, table, turned, setting._replace(now=now))
-    return tuple(slot._replace(joints=slot.joints[::-1], seen=goal) for slot in found)
+    fallback = (*setting.fallback[::-1],)
+    slots = branches(signs, table, turned, setting._replace(fallback=fallback))
+    return tuple(slot._replace(joints=slot.joints[::-1], seen=goal) for slot in slots)
 
 
 def reverse(links: tuple[Link, ...], goal: Pose) -> tuple[tuple[Link, ...], Pose]:
     """The table read from the tool to the base, and the base seen from the tool.
 
     The inverse of Rz(t) Tz(d) Tx(a) Rx(alpha) is, half a turn about x before and after,
-    Tx(-a) Rx(-alpha) Rz(t) Tz(d): each link keeps its joint and hands its length and twist on.
+    Tx(-a) Rx(-alpha) Rz(t) Tz(d): each link keeps its joint and passes its length and twist to the next.
     """
     rows = []
     for k in range(len(links) - 1, -1, -1):
@@ -88,6 +90,6 @@ def reverse(links: tuple[Link, ...], goal: Pose) -> tuple[tuple[Link, ...], Pose
     )
     x, y, z = back.position
     goal = Pose(turned, (x, -y, -z))
-    # The last link reversed is joint 1 alone; its offset is taken off the goal.
+    # The last reversed link is that of joint 1; its offset is subtracted from the goal.
     off = vector.scale(first.d, tuple(row[2] for row in goal.rotation))
     return tuple(rows), Pose(goal.rotation, vector.subtract(goal.position, off))

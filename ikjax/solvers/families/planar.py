@@ -2,14 +2,18 @@
 
 Branches: 2, or 1 where two joints slide. Tasks: "planar_pose", "planar_position".
 
-Frames: the plane is square to the turning axes, its coordinates are taken at DH zero. c1, c2, c3 are
-where the axes pierce it, u1, u2, u3 the directions of the slides, and the tip stands at the origin
-of its own frame. `signs` says which axes point up from the plane.
+Frames: the plane is square to the turning axes, and its coordinates are taken at DH zero. c1, c2, c3 are the
+points where the axes pierce it, u1, u2, u3 the directions of the slides, and the tip is the origin of the
+last frame. `signs` says which axes point up from the plane.
 
-Steps: the heading of the goal tells the sum of the angles, and with it where the joint nearest to
-the tip has to be; what is left is a triangle (RR), a slide and a circle (RP, PR), or two slides.
+Steps:
+1. The heading of the goal gives the sum of the angles. If the last joint turns, it also gives the position of
+   its axis.
+2. Two joints are left: a triangle (RR), a line and a circle (RP, PR), or two slides (PP).
+3. The last turning joint from the sum of the angles.
 
-Bits: the elbow left (0) or right of the line from joint to joint; the longer slide first.
+Bit: left or right: the elbow, against the line from joint to joint. Where a joint slides: long or short, the
+larger slide first.
 
 Source: Craig, Introduction to Robotics, 3rd ed., equations (4.6)-(4.34), the geometric solution;
 `elbow_algebraic` is the algebraic one. The slides are ours.
@@ -20,7 +24,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from ikjax.arm.forward import Link
+from ikjax.arm.recognition.signs import PlanarPoseSigns, PlanarPositionSigns
 from ikjax.core import safe, vector
+from ikjax.core.linear import dot
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Angle, Scalar, SinCos
 from ikjax.core.vector import Vector
@@ -41,10 +47,13 @@ class Plane(NamedTuple):
     up: Vector
 
     def point(self, v: Vector) -> Point:
+        """The coordinates of a vector in the plane."""
         return vector.dot(self.x, v), vector.dot(self.y, v)
 
 
 class Way(NamedTuple):
+    """One answer."""
+
     joints: Joints
     margin: Scalar
     continuum: Scalar
@@ -57,22 +66,24 @@ def plane_of(kinds: str, axes: tuple[Axis, ...]) -> Plane:
     return Plane(x, vector.cross(up, x), up)
 
 
-def branches(signs: tuple, links: tuple[Link, ...], goal: Pose, setting: Setting) -> tuple[Branch, ...]:
+def branches(
+    signs: PlanarPoseSigns | PlanarPositionSigns, links: tuple[Link, ...], goal: Pose, setting: Setting
+) -> tuple[Branch, ...]:
     """All slots for one goal.
 
-    Arguments as in `pieper`; signs: +1 or -1 for each joint, its axis against the plane's.
+    Arguments as in `pieper`.
     """
     kinds = "".join(link.kind for link in links)
     axes, tip = axes_of(links)
     plane = plane_of(kinds, axes)
     where = plane.point(goal.position)
     if len(kinds) == 2:
-        at = vector.add(tip.position, vector.rotate(tip.rotation, setting.tool))
+        at = vector.add(tip.position, vector.rotate(tip.rotation, setting.tool_point))
         ways = two_joints(kinds, axes, plane, signs, where, plane.point(at), setting)
     else:
         heading = heading_of(plane, tip, goal)
         ways = three_joints(kinds, axes, plane, signs, heading, where, plane.point(tip.position), setting)
-    # The goal as far as the plane allows it: what lies outside the task is not measured.
+    # The goal projected onto what the task controls: the rest is not measured.
     level = tip.position
     asked = goal
     if len(kinds) == 2:
@@ -100,8 +111,11 @@ def three_joints(kinds, axes, plane, signs, heading, where, tip, setting) -> tup
     """The slots of three joints.
 
     Args:
-        heading: Sine and cosine of the whole turn.
-        where, tip: The tip wanted, and at DH zero.
+        kinds, axes, plane, signs: The arm.
+        heading: Sine and cosine of the sum of the angles.
+        where: The goal of the tip.
+        tip: The tip at DH zero.
+        setting: Fallback and tolerances.
     """
     c = [plane.point(axis.point) for axis in axes]
     u = [plane.point(axis.along) for axis in axes]
@@ -109,7 +123,7 @@ def three_joints(kinds, axes, plane, signs, heading, where, tip, setting) -> tup
         return _two_slides(kinds, c, u, signs, heading, where, tip, setting)
     if kinds == "RRP":
         return _slide_last(c, u[2], signs, heading, where, tip, setting)
-    # The last joint turns: where it has to stand is known.
+    # The last joint turns: the position of its axis is known.
     wrist = _minus(where, _turned(heading, _minus(tip, c[2])))
     ways = two_joints(kinds[:2], axes, plane, signs, wrist, c[2], setting)
     answers = []
@@ -125,13 +139,13 @@ def three_joints(kinds, axes, plane, signs, heading, where, tip, setting) -> tup
 
 
 def two_joints(kinds, axes, plane, signs, where, tip, setting) -> tuple[Way, ...]:
-    """The slots of two joints that bring the tip where it is wanted."""
+    """The slots of two joints that bring the tip where it is wanted; arguments as in `three_joints`."""
     c = [plane.point(axis.point) for axis in axes]
     u = [plane.point(axis.along) for axis in axes]
     if kinds == "RR":
         return _two_turns(c, signs, where, tip, setting)
     if kinds == "PP":
-        first, second = _along(_minus(where, tip), u[0], u[1])
+        first, second = _components(_minus(where, tip), u[0], u[1])
         return (Way((Slide(first), Slide(second)), jnp.inf, False),)
     if kinds == "RP":
         return _turn_slide(c[0], u[1], signs[0], where, tip, setting)
@@ -142,12 +156,12 @@ def _two_turns(c, signs, where, tip, setting) -> tuple[Way, ...]:
     first, second = _minus(c[1], c[0]), _minus(tip, c[1])
     upper, fore = safe.norm(*first), safe.norm(*second)
     x, y = _minus(where, c[0])
-    now = setting.now[0]
+    fallback = setting.fallback[0]
     start = (safe.divide(first[1], upper), safe.divide(first[0], upper))
-    filled = Angle(*_sum((signs[0] * now.sin, now.cos), start), 0.0)
+    filled = Angle(*_sum((signs[0] * fallback.sin, fallback.cos), start), 0.0)
     ways = []
     for left in (1, -1):
-        arm = triangle(x, y, upper, fore, left, setting, now=filled)
+        arm = triangle(x, y, upper, fore, left, setting, fallback=filled)
         t1 = _sum((arm.shoulder_sin, arm.shoulder_cos), (-start[0], start[1]))
         bend = (safe.divide(second[1], fore), safe.divide(second[0], fore))
         t2 = _sum(_sum((arm.elbow_sin, arm.elbow_cos), start), (-bend[0], bend[1]))
@@ -171,10 +185,10 @@ def elbow_algebraic(x: Scalar, y: Scalar, upper: Scalar, fore: Scalar, left: int
 
 
 def _turn_slide(c, u, sign, where, tip, setting) -> tuple[Way, ...]:
-    """Turn about c, then slide along u: the slide makes the distance, the turn the direction."""
+    """Turn about c, then slide along u: the slide gives the distance from c, the turn the direction."""
     arm, gap = _minus(tip, c), _minus(where, c)
-    along, beside = _dot(arm, u), _cross(u, arm)
-    far_squared = _dot(gap, gap)
+    along, beside = dot(arm, u), _cross(u, arm)
+    far_squared = dot(gap, gap)
     root = agreed_root(far_squared - beside * beside)
     margin = safe.sqrt(far_squared) - abs(beside)
     ways = []
@@ -186,10 +200,10 @@ def _turn_slide(c, u, sign, where, tip, setting) -> tuple[Way, ...]:
 
 
 def _slide_turn(c, u, sign, where, tip, setting) -> tuple[Way, ...]:
-    """Slide along u, then turn about c, which slides along: a line meets a circle."""
+    """Slide along u, then turn about c, which slides with it: a line meets a circle."""
     arm, gap = _minus(tip, c), _minus(where, c)
     ways = []
-    for q, margin in _line_and_circle(u, gap, _dot(arm, arm), setting):
+    for q, margin in _line_and_circle(u, gap, dot(arm, arm), setting):
         turn, free = setting.between(1, arm, (gap[0] - u[0] * q, gap[1] - u[1] * q), sign)
         ways.append(Way((Slide(q), turn), margin, free))
     return tuple(ways)
@@ -201,7 +215,7 @@ def _slide_last(c, u, signs, heading, where, tip, setting) -> tuple[Way, ...]:
     gap = _minus(_minus(where, _turned(heading, _minus(tip, c[1]))), c[0])
     u = _turned(heading, u)
     ways = []
-    for q, margin in _line_and_circle(u, gap, _dot(link, link), setting):
+    for q, margin in _line_and_circle(u, gap, dot(link, link), setting):
         first, free = setting.between(0, link, (gap[0] - u[0] * q, gap[1] - u[1] * q), signs[0])
         rest = _sum(heading, (-signs[0] * first.sin, first.cos))
         ways.append(Way((first, setting.angle(signs[1] * rest[0], rest[1]), Slide(q)), margin, free))
@@ -213,7 +227,7 @@ def _line_and_circle(u, gap, radius_squared, setting):
     beside = _cross(u, gap)
     root = agreed_root(radius_squared - beside * beside)
     margin = safe.sqrt(radius_squared) - abs(beside)
-    return [(pin(_dot(gap, u) + side * root), margin) for side in (1, -1)]
+    return [(pin(dot(gap, u) + side * root), margin) for side in (1, -1)]
 
 
 def _two_slides(kinds, c, u, signs, heading, where, tip, setting) -> tuple[Way, ...]:
@@ -223,23 +237,19 @@ def _two_slides(kinds, c, u, signs, heading, where, tip, setting) -> tuple[Way, 
     gap = _minus(_minus(where, _turned(heading, _minus(tip, c[k]))), c[k])
     # Slides beyond the turn are turned with it.
     slides = [u[i] if i < k else _turned(heading, u[i]) for i in range(3) if i != k]
-    joints = [Slide(q) for q in _along(gap, *slides)]
+    joints = [Slide(q) for q in _components(gap, *slides)]
     joints.insert(k, turn)
     return (Way(tuple(joints), abs(_cross(*slides)), False),)
 
 
-def _along(gap: Point, u: Point, v: Point) -> Point:
-    """gap = p u + q v."""
+def _components(gap: Point, u: Point, v: Point) -> Point:
+    """(p, q) with gap = p u + q v, by Cramer's rule."""
     weight = safe.divide(1, _cross(u, v))
     return _cross(gap, v) * weight, _cross(u, gap) * weight
 
 
 def _minus(u: Point, v: Point) -> Point:
     return u[0] - v[0], u[1] - v[1]
-
-
-def _dot(u: Point, v: Point) -> Scalar:
-    return u[0] * v[0] + u[1] * v[1]
 
 
 def _cross(u: Point, v: Point) -> Scalar:

@@ -2,23 +2,26 @@
 
 Branches: 8. Universal Robots' arms and the lectures' elbow manipulator.
 
-Frames: standard DH. s1, s4, s5 are the signs of sin(alpha), c2 and c3 those of cos(alpha); an
-antiparallel axis is c = -1, and `up` is +1 where axis 1 points up. Frame 1 stands on axis 2; the
-arm's plane is its x, y plane.
+Frames: standard DH. s1, s4, s5 are the signs of sin(alpha), c2 and c3 those of cos(alpha), where -1 is an
+antiparallel axis, and `up` is +1 where axis 1 points up. Frame 1 has its origin on axis 2; the arm's plane is
+its x, y plane.
 
 Steps:
-1. shoulder: the point where axes 5 and 6 meet lies `lateral` beside axis 1's plane: joint 1.
-2. axis 6 against axis 2 gives joint 5; what is left of axis 6 in the plane gives the whole pitch
+1. shoulder: the point where axes 5 and 6 meet is at the distance `lateral` from the plane of axis 1 and x1:
+   joint 1.
+2. wrist: the angle of axis 6 to axis 2 gives joint 5; the part of axis 6 in the plane gives the whole pitch
    t2 + c2 t3 + c2 c3 t4, and the rotation about axis 6 gives joint 6.
 3. triangle: a2 and a3 reach axis 4 in the plane: joints 2, 3, then 4.
-Where axis 6 is parallel to axis 2 the pitch is arbitrary; it follows `now`, moved as little as
-lets the triangle close.
 
-Bits: front and up as in `ortho_parallel_wrist`; noflip: sin(t5) has the sign of up s1 c2 c3 s4
-(and of a1, where it is not zero).
+Where axis 6 is parallel to axis 2 the pitch is arbitrary. It is then the one of `Setting.fallback`, changed
+as little as lets the triangle close.
+
+Bits:
+1. front or back, 2. up or down: as in `ortho_parallel_wrist`, for the point where axes 5 and 6 meet.
+3. noflip or flip: sin(t5) has the sign of up s1 c2 c3 s4 (and of a1, where that is not zero), or the other.
 
 Source: the order of the steps is that of the lectures' elbow manipulator (ME/SE 740, lecture 18);
-the offsets, the signs and the singular rule are ours.
+the offsets, the signs and the rule for singular poses are ours.
 """
 
 from typing import NamedTuple
@@ -26,6 +29,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from ikjax.arm.forward import Joint, Link, unwind
+from ikjax.arm.recognition.signs import ThreeParallelSigns
 from ikjax.core import safe, vector
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Angle, Scalar, SinCos, angle
@@ -36,20 +40,20 @@ from ikjax.solvers.steps.triangle import ring, triangle
 
 
 def branches(
-    signs: tuple[int, ...], links: tuple[Link, ...], goal: Pose, setting: Setting
+    signs: ThreeParallelSigns, links: tuple[Link, ...], goal: Pose, setting: Setting
 ) -> tuple[Branch, ...]:
     """All eight slots for one goal.
 
-    Arguments as in `ortho_parallel_wrist`; signs: up, s1, c2, c3, s4, s5.
+    Arguments as in `ortho_parallel_wrist`.
     """
-    up, s1, c2, c3, s4, s5 = signs
+    up, s1, s4, s5 = signs.up, signs.sin_alpha1, signs.sin_alpha4, signs.sin_alpha5
+    c2, c23 = signs.cos_alpha2, signs.cos_alpha23
     one, two, three, four, five = links[:5]
-    c23 = c2 * c3
     x, y, _ = goal.position
     lateral = s1 * (two.d + c2 * three.d + c23 * four.d)
     facing = safe.sign(one.a)
     hand = (four.a, -c23 * s4 * five.d)  # from axis 4 to where 5 and 6 meet, at pitch 0
-    pitch_now = _whole_pitch(setting.now, c2, c23)
+    pitch_fallback = _whole_pitch(setting.fallback, c2, c23)
     turned = setting.angle
     slots: dict[int, Branch] = {}
     for first in (0, 1, 4, 5):
@@ -58,9 +62,9 @@ def branches(
         t5_side = wrist * facing * (up * s1 * c23 * s4)
         seen = unwind(goal, one, Joint(base.turn.sin, base.turn.cos, one.d))
         links_up = Links(two.a, three.a, hand, one.a)
-        pitch = _pitch(seen, links_up, s5 * t5_side, pitch_now, setting)
-        t1 = _turned_on(base.turn, s1, pitch.on, setting)
-        seen = _seen_turned(seen, one.a, pitch.on, setting)
+        pitch = _pitch(seen, links_up, s5 * t5_side, pitch_fallback, setting)
+        t1 = _turned_further(base.turn, s1, pitch.further, setting)
+        seen = _seen_further(seen, one.a, pitch.further, setting)
         v, _, n = vector.transpose(seen.rotation)
         t5_sin = t5_side * vector.norm((n[0], n[1], 0.0))
         t5_cos = -c23 * s4 * s5 * n[2]
@@ -77,7 +81,7 @@ def branches(
                 three.a,
                 up * s1 * side * facing * height,
                 setting,
-                setting.off,
+                setting.correction_size,
             )
             # c23 t4 = pitch - (t2 + elbow)
             fore_sin = arm.shoulder_sin * arm.elbow_cos + arm.shoulder_cos * arm.elbow_sin
@@ -98,7 +102,7 @@ def branches(
 
 
 class Links(NamedTuple):
-    """What stands in the arm's plane, in units of the reach."""
+    """The links in the arm's plane, in units of the reach."""
 
     upper: Scalar
     fore: Scalar
@@ -113,41 +117,41 @@ class Pitch(NamedTuple):
 
     sin: Scalar
     cos: Scalar
-    on: SinCos
-    """How far joint 1 is turned on, about y1, so that this pitch is the goal's."""
+    further: SinCos
+    """A further turn of joint 1, about y1, that makes this pitch the goal's; the identity as a rule."""
     free: Scalar
     """Axis 6 is parallel to axis 2, so that every pitch is the goal's."""
 
 
-def _pitch(seen: Pose, links: Links, side: Scalar, now: Angle, setting: Setting) -> Pitch:
-    """The pitch that axis 6 asks for, or one as good to rounding for which the triangle closes.
+def _pitch(seen: Pose, links: Links, side: Scalar, fallback: Angle, setting: Setting) -> Pitch:
+    """The pitch of axis 6, or one that is as good to within rounding and for which the triangle closes.
 
-    Axis 6 near axis 2 makes the pitch noise; the wrist near its cylinder, or near axis 1, makes
-    joint 1 noise and the pitch with it. Either freedom may serve the triangle, and where it cannot
-    close otherwise it must: the answer is there, but rounding has moved it.
+    Where axis 6 is nearly parallel to axis 2, the pitch is rounding noise. Where the wrist is near its
+    cylinder, or near axis 1, joint 1 is noise and the pitch with it. Where the triangle does not close,
+    either of these freedoms is used: there is an answer, but rounding has moved it.
 
     Args:
         seen: The goal seen from frame 1.
-        links: The triangle.
+        links: The links in the plane.
         side: +1 or -1 times the part of axis 6 in the plane points along the pitch.
-        now: The pitch where it is arbitrary.
-        setting: What counts as zero.
+        fallback: The pitch where it is arbitrary.
+        setting: Tolerances.
     """
-    tiny = setting.tiny
+    tolerance = setting.zero_tolerance
     n = tuple(row[2] for row in seen.rotation)
     x, y, z = seen.position
     rho_squared = n[0] * n[0] + n[1] * n[1]
-    free = rho_squared <= tiny * tiny
+    free = rho_squared <= tolerance * tolerance
     weight = side * safe.reciprocal_sqrt(rho_squared)
-    p_sin = jnp.where(free, now.sin, n[1] * weight)
-    p_cos = jnp.where(free, now.cos, n[0] * weight)
-    loose = rho_squared <= 4 * setting.tiny
+    p_sin = jnp.where(free, fallback.sin, n[1] * weight)
+    p_cos = jnp.where(free, fallback.cos, n[0] * weight)
+    loose = rho_squared <= 4 * setting.zero_tolerance
     new_sin, new_cos, moved = _closing(x, y, links, p_sin, p_cos)
     new_sin, new_cos = pin(new_sin), pin(new_cos)
-    # Turned on about y1, axis 6 has (level, n[1]) in the plane: along the new pitch.
+    # After the further turn about y1, the part of axis 6 in the plane is (level, n[1]), along the new pitch.
     size_squared = n[0] * n[0] + n[2] * n[2]
-    steep, tilted = jnp.abs(new_sin) > tiny, size_squared > tiny
-    # A quotient that several need is one that XLA holds: each goes through a mask.
+    steep, tilted = jnp.abs(new_sin) > tolerance, size_squared > tolerance
+    # XLA keeps a quotient that several values need; each of them goes through a mask of its own.
     level = jnp.where(steep, n[1] * new_cos / jnp.where(steep, new_sin, 1), 0)
     beside = safe.sign(n[2]) * safe.sqrt(size_squared - level * level)
     weight = jnp.where(tilted, 1 / jnp.where(tilted, size_squared, 1), 0)
@@ -159,23 +163,23 @@ def _pitch(seen: Pose, links: Links, side: Scalar, now: Angle, setting: Setting)
         & steep
         & tilted
         & (level * level <= size_squared)
-        & (slip <= setting.tiny)
+        & (slip <= setting.zero_tolerance)
         & (side * n[1] * new_sin >= 0)
     )
-    on_sin, on_cos = pin(jnp.where(able, root_sin, 0)), pin(jnp.where(able, root_cos, 1))
+    further_sin, further_cos = pin(jnp.where(able, root_sin, 0)), pin(jnp.where(able, root_cos, 1))
     moved &= loose | able
     p_sin, p_cos = jnp.where(moved, new_sin, p_sin), jnp.where(moved, new_cos, p_cos)
-    return Pitch(pin(p_sin), pin(p_cos), (on_sin, on_cos), free)
+    return Pitch(pin(p_sin), pin(p_cos), (further_sin, further_cos), free)
 
 
-def _turned_on(t1: Angle, s1: int, on: SinCos, setting: Setting) -> Angle:
-    sine, cosine = s1 * on[0], on[1]
+def _turned_further(t1: Angle, s1: int, further: SinCos, setting: Setting) -> Angle:
+    sine, cosine = s1 * further[0], further[1]
     return setting.angle(t1.sin * cosine + t1.cos * sine, t1.cos * cosine - t1.sin * sine)
 
 
-def _seen_turned(seen: Pose, a1: Scalar, on: SinCos, setting: Setting) -> Pose:
-    """The goal seen from frame 1 after joint 1 is turned on: all turns back about y1, through axis 1."""
-    sine, cosine = on
+def _seen_further(seen: Pose, a1: Scalar, further: SinCos, setting: Setting) -> Pose:
+    """The goal seen from frame 1 after the further turn of joint 1: it turns back about y1, around axis 1."""
+    sine, cosine = further
 
     def back(v):
         turned = (v[0] * cosine - v[2] * sine, v[1], v[0] * sine + v[2] * cosine)
@@ -185,14 +189,14 @@ def _seen_turned(seen: Pose, a1: Scalar, on: SinCos, setting: Setting) -> Pose:
     ahead, along = back(ahead), back(along)
     x, y, z = seen.position
     x, y, z = back((x + a1, y, z))
-    # The third column is cheaper to make again than to pin.
+    # Computing the third column again costs less than pinning it.
     return Pose(vector.transpose((ahead, vector.cross(along, ahead), along)), (x - a1, y, z))
 
 
-def _whole_pitch(now: tuple[Angle, ...], c2: int, c23: int) -> Angle:
+def _whole_pitch(fallback: tuple[Angle, ...], c2: int, c23: int) -> Angle:
     """t2 + c2 t3 + c23 t4."""
-    sine, cosine = now[1].sin, now[1].cos
-    for sign, joint in ((c2, now[2]), (c23, now[3])):
+    sine, cosine = fallback[1].sin, fallback[1].cos
+    for sign, joint in ((c2, fallback[2]), (c23, fallback[3])):
         sine, cosine = (
             sine * joint.cos + sign * cosine * joint.sin,
             cosine * joint.cos - sign * sine * joint.sin,
@@ -203,10 +207,10 @@ def _whole_pitch(now: tuple[Angle, ...], c2: int, c23: int) -> Angle:
 def _closing(
     x: Scalar, y: Scalar, links: Links, p_sin: Scalar, p_cos: Scalar
 ) -> tuple[Scalar, Scalar, Scalar]:
-    """The pitch moved as little as lets the links reach axis 4, and whether it had to be.
+    """The pitch changed as little as lets the links reach axis 4, and whether it was changed.
 
-    Axis 4 lies at (x, y) less the hand turned by the pitch; its distance from the shoulder is
-    brought into the ring by the law of cosines, on the side where the hand already is.
+    Axis 4 is at (x, y) less the hand turned by the pitch. Its distance from the shoulder is brought into the
+    ring by the law of cosines, on the side where the hand is.
     """
     # The point to reach, turned so that the hand at pitch 0 lies along x.
     hand = links.hand

@@ -1,1 +1,1 @@
-"""Steps that several families share: a shoulder, a two-link triangle, a wrist, lines in space."""
+"""Steps that several families share: shoulder, triangle, wrist, first three joints, axes in space."""

@@ -1,7 +1,8 @@
 """The arm as axes in space: where each joint turns or slides when all DH angles and slides are zero.
 
-For families whose joints may stand in any order: every pose is then a product of
-motions about fixed axes.
+For families whose joints may be in any order. Every pose is a product of exponentials: of motions about fixed
+axes.
+
 Source: the product of exponentials is Brockett's (1984); Lynch and Park, Modern Robotics, section 4.1.
 """
 
@@ -16,14 +17,16 @@ from ikjax.core.vector import Vector, minus, plus, times
 
 
 class Axis(NamedTuple):
-    """A line, seen from frame 0: its direction and a point of it."""
+    """The axis of a joint, seen from frame 0."""
 
     along: Vector
+    """Its direction."""
     point: Vector
+    """Any point of it."""
 
 
 def axes_of(links: tuple[Link, ...]) -> tuple[tuple[Axis, ...], Pose]:
-    """The axes of all joints at DH zero, and where the last frame stands there."""
+    """The axes of all joints at DH zero, and the last frame there."""
     frame, axes = poses.IDENTITY, []
     for link in links:
         axes.append(Axis(tuple(row[2] for row in frame.rotation), frame.position))
@@ -33,7 +36,7 @@ def axes_of(links: tuple[Link, ...]) -> tuple[tuple[Axis, ...], Pose]:
 
 
 def turned(along: Vector, sine: Scalar, cosine: Scalar, v: Vector) -> Vector:
-    """A vector turned about a unit direction."""
+    """A vector turned about a unit direction (Rodrigues' formula)."""
     part = vector.scale(vector.dot(along, v), along)
     rest = vector.subtract(v, part)
     return vector.add(
@@ -61,5 +64,5 @@ def component(along: Vector, axis: Vector, v: Vector) -> tuple[Scalar, Scalar, S
 def seen_from(frame: Pose, axis: Axis) -> Axis:
     """An axis in the coordinates of a frame."""
     back = vector.transpose(frame.rotation)
-    off = vector.subtract(axis.point, frame.position)
-    return Axis(vector.rotate(back, axis.along), vector.rotate(back, off))
+    offset = vector.subtract(axis.point, frame.position)
+    return Axis(vector.rotate(back, axis.along), vector.rotate(back, offset))

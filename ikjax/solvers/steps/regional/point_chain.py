@@ -1,6 +1,6 @@
-"""A point carried by three joints, as polynomials in what joint 3 does.
+"""A point carried by three joints, as polynomials in the value of joint 3.
 
-For `regional`, whose frames and letters these are.
+A part of `regional.three_joints`, whose frames and letters are used here.
 """
 
 from typing import NamedTuple
@@ -11,7 +11,10 @@ from ikjax.core.vector import Vector, plus, times
 
 
 class Poly(NamedTuple):
-    """one + u U + v V + uu U^2 + uv U V + vv V^2, with (U, V) = (cos t3, sin t3) or (q3, 0)."""
+    """one + u U + v V + uu U^2 + uv U V + vv V^2, with (U, V) = (cos t3, sin t3) or (q3, 0).
+
+    Coefficients that are known to be zero are Python numbers, so that the operations below leave them out.
+    """
 
     one: Scalar
     u: Scalar = 0.0
@@ -30,7 +33,7 @@ class Poly(NamedTuple):
         return self.plus(other.times(-1.0))
 
     def square(self) -> "Poly":
-        """Of a polynomial of the first degree."""
+        """The square of a polynomial of the first degree."""
         one, u, v = self[:3]
         return Poly(
             times(one, one),
@@ -42,6 +45,7 @@ class Poly(NamedTuple):
         )
 
     def at(self, u: Scalar, v: Scalar) -> Scalar:
+        """The value at (U, V)."""
         low = plus(plus(self.one, times(self.u, u)), times(self.v, v))
         high = plus(times(times(self.uu, u), u), times(times(self.uv, u), v))
         return plus(plus(low, high), times(times(self.vv, v), v))
@@ -56,12 +60,12 @@ class Poly(NamedTuple):
         return plus(plus(low, mixed), times(2.0, times(plus(self.vv, times(-1.0, self.uu)), u * v)))
 
     def at_half_angle(self, sine: Scalar, cosine: Scalar) -> Scalar:
-        """In a slide of tan(t / 2), times cos(t / 2)^2."""
+        """The value at a slide of tan(t / 2), times cos(t / 2)^2, which is finite at t = pi."""
         return (self.one * (1 + cosine) + self.u * sine + self.uu * (1 - cosine)) / 2
 
 
 class Chain(NamedTuple):
-    """What the three links make of the point."""
+    """The point, seen along the three links, as polynomials in the value of joint 3."""
 
     kinds: str
     links: tuple[Link, ...]
@@ -74,13 +78,20 @@ class Chain(NamedTuple):
 
 
 def chain_of(links: tuple[Link, ...], point: Vector) -> Chain:
-    """The polynomials of the arm, from the point seen from frame 3 without its own turn and slide."""
+    """The polynomials of an arm.
+
+    Args:
+        links: The first three.
+        point: The point, given in frame 3.
+    """
     _, two, three = links
     kinds = "".join(link.kind for link in links)
+    # The point after link 3's own length, twist and offset, before joint 3 moves it.
     s, c = three.sin_alpha, three.cos_alpha
     along = plus(three.a, point[0])
     aside = plus(times(c, point[1]), times(-s, point[2]))
     above = plus(plus(three.d, times(s, point[1])), times(c, point[2]))
+    # Joint 3 turns it about z, or slides it along z: f.
     if kinds[2] == "R":
         f1, f2, f3 = Poly(0.0, along, times(-1.0, aside)), Poly(0.0, aside, along), Poly(above)
     else:
@@ -88,11 +99,13 @@ def chain_of(links: tuple[Link, ...], point: Vector) -> Chain:
         f1 = Poly(plus(times(cosine, along), times(-sine, aside)))
         f2 = Poly(plus(times(sine, along), times(cosine, aside)))
         f3 = Poly(above, 1.0)
+    # Link 2's own length, twist and offset: h.
     s, c = two.sin_alpha, two.cos_alpha
     h1 = f1.plus(Poly(two.a))
     h2 = f2.times(c).less(f3.times(s))
     h3 = f2.times(s).plus(f3.times(c)).plus(Poly(two.d))
     if kinds[2] == "R":
+        # |h|^2 = |f|^2 + a2^2 + d2^2 and terms of the first degree: joint 3 turns f and leaves |f| as it is.
         size = plus(plus(times(along, along), times(aside, aside)), times(above, above))
         size = plus(plus(size, times(two.a, two.a)), times(two.d, two.d))
         cross = f1.times(times(2.0, two.a)).plus(f2.times(s).plus(f3.times(c)).times(times(2.0, two.d)))

@@ -2,20 +2,22 @@
 
 Branches: 4, 2 or 1.
 
-Frames: standard DH. The point is fixed in the frame after joint 3; seen from frame 2 it is
-f = (f1, f2, f3), affine in (cos t3, sin t3) or in the slide q3; seen from the link that joint 2
-carries it is h, from frame 1 it is g, h turned by joint 2.
+Frames: standard DH. The point is fixed in the frame after joint 3. Seen from frame 2 it is
+f = (f1, f2, f3), affine in (cos t3, sin t3) or in the slide q3. Seen from the link that joint 2
+carries it is h. Seen from frame 1 it is g, which is h turned by joint 2.
 
 Steps:
-1. Joint 1 and then joint 2 are eliminated, which leaves one equation for joint 3: a quartic, or
-   where the arm's own numbers make it split, one of the second degree or the first.
+1. Eliminate joint 1 and then joint 2. This leaves one equation for joint 3: a quartic, or where the
+   arm's own numbers make it split (`RegionalSplit`), one of the second degree or the first.
 2. Joint 2 from g and h: unique after a quartic, else two.
-3. Joint 1 from the point and g, unique.
+3. Joint 1 from the point and g: unique.
 
-Bits: after a quartic, whether it rises or falls in joint 3 at the root, which after two turning joints is
-the sign of the determinant of the three joints' motions and changes at folds only; then the order of
-the two from -pi, where they may swap. Otherwise the sign of the derivative of each equation at its
-root, first joint 2, then joint 3.
+Bits after a quartic:
+1. rising or falling: the sign of its derivative with respect to joint 3 at the root. After two turning joints
+   that is the sign of the determinant of the Jacobian of the three joints, and changes at folds only.
+2. low or high: the order of the two such roots from -pi, where they may swap.
+Bits otherwise: j2+ or j2-, then j3+ or j3-: the sign of the derivative of each equation at its root. A bit is
+left out where its equation has one root.
 
 Source: Pieper, The kinematics of manipulators under computer control (1968), after Craig,
 Introduction to Robotics, 3rd ed., section 4.6; sliding joints and the elimination in circle form are ours.
@@ -27,6 +29,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from ikjax.arm.forward import Link, advance, known_sincos
+from ikjax.arm.recognition.signs import RegionalSplit
 from ikjax.core import safe, vector
 from ikjax.core.pose import IDENTITY, Pose
 from ikjax.core.roots import cosine_sine
@@ -38,9 +41,9 @@ from ikjax.solvers.steps.regional.point_chain import Chain, Poly, chain_of
 from ikjax.solvers.steps.regional.third_joint import (
     Third,
     circle_roots,
+    distance_moved,
     half_angle_harmonics,
     harmonics_of,
-    moved,
     roots,
     second_degree,
 )
@@ -56,41 +59,46 @@ class Regional(NamedTuple):
 
 
 def regional(
-    links: tuple[Link, ...], point: Vector, wanted: Vector, how: str, setting: Setting
+    links: tuple[Link, ...], point: Vector, wanted: Vector, split: RegionalSplit, setting: Setting
 ) -> tuple[Regional, ...]:
     """Every way to bring a point where it is wanted.
 
     Args:
         links: The first three, lengths in units of the reach.
-        point: Fixed in frame 3 without joint 3's own turn and slide.
+        point: The point, given in frame 3.
         wanted: Where it has to be, seen from frame 0.
-        how: How the equation for joint 3 splits, see `arm.recognition.rules`: "" where it does not,
-            "meet" where axes 1 and 2 do, "parallel", "square" where one turns squarely to a slide,
-            "slides"; "nearly meet" and the like where it all but does.
-        setting: Fills what is arbitrary.
+        split: How the equation for joint 3 splits.
+        setting: Fallback and tolerances.
     """
     chain = chain_of(links, point)
+    # By the kinds of joints 1 and 2; joint 3 turns or slides in each.
     eliminate = {"RR": _two_turns, "RP": _turn_slide, "PR": _slide_turn, "PP": _two_slides}
-    ways = eliminate[chain.kinds[:2]](chain, wanted, how, setting)
-    nearly = setting.close_pairs(how)
+    ways = eliminate[chain.kinds[:2]](chain, wanted, split, setting)
+    nearly = setting.close_pairs(split)
     return tuple(_polished(chain, point, wanted, way, nearly, setting) for way in ways)
 
 
 def _polished(
     chain: Chain, point: Vector, wanted: Vector, way: Regional, nearly: bool, setting: Setting
 ) -> Regional:
-    """A Newton step on the joints themselves: the elimination squares lengths, and rounding with them.
+    """The joints after a Newton step: the elimination squares lengths, and rounding errors with them.
 
-    Close pairs of roots, of an equation that nearly splits, lose twice as many digits: they take four steps.
+    Args:
+        chain: The three links.
+        point, wanted: As in `regional`.
+        way: What the elimination gave.
+        nearly: The equation nearly splits. Its roots come in close pairs, which lose twice as many digits:
+            they take four steps.
+        setting: Tolerances.
     """
     joints = way.joints
     for _ in range(4 if nearly else 1):
-        steps = _newton(chain.links, joints, point, wanted)
+        steps = _newton_steps(chain.links, joints, point, wanted)
         size = functools.reduce(jnp.maximum, (abs(step) for step in steps))
         # A larger step is not the correction of a small error: it would lead to another branch.
         small = size < setting.rounding**0.25
         if nearly:
-            # What is left of a complex pair may be a real one that rounding hides, but only nearby.
+            # A pair that came out as complex may be real but for rounding; then its roots are nearby.
             small = size < jnp.where(way.margin > 0, 0.3, 4 * setting.rounding**0.25)
         else:
             small &= way.margin > -(setting.rounding**0.5)
@@ -100,8 +108,10 @@ def _polished(
     return way._replace(joints=joints)
 
 
-def _newton(links: tuple[Link, ...], joints: Joints, point: Vector, wanted: Vector) -> tuple[Scalar, ...]:
-    """How far each joint has to move on, to first order; zero where their motions are dependent."""
+def _newton_steps(
+    links: tuple[Link, ...], joints: Joints, point: Vector, wanted: Vector
+) -> tuple[Scalar, ...]:
+    """The Newton step of each joint, by Cramer's rule; zero where the Jacobian is singular."""
     placed_joints = tuple(map(placed, links, joints))
     first, second, third = (
         advance(IDENTITY, link, joint) for link, joint in zip(links, placed_joints, strict=True)
@@ -111,6 +121,7 @@ def _newton(links: tuple[Link, ...], joints: Joints, point: Vector, wanted: Vect
     from_zero = _applied(first, from_one)
 
     def motion(joint, tip):
+        """Column of the Jacobian: the velocity of the point, seen from the frame of the joint's axis."""
         return (0.0, 0.0, 1.0) if isinstance(joint, Slide) else (-tip[1], tip[0], 0.0)
 
     # All seen from frame 1.
@@ -133,48 +144,58 @@ def _applied(pose: Pose, point: Vector) -> Vector:
     return vector.add(vector.rotate(pose.rotation, point), pose.position)
 
 
-def _two_turns(chain: Chain, wanted: Vector, how: str, setting: Setting):
+def _two_turns(chain: Chain, wanted: Vector, split: RegionalSplit, setting: Setting):
+    """Joints 1 and 2 turn."""
     one = chain.links[0]
     x, y, z = wanted[0], wanted[1], wanted[2] - one.d
     s, c = one.sin_alpha, one.cos_alpha
     span_squared = x * x + y * y + z * z
-    # 2 a1 g1 = ahead and sin(alpha1) g2 = up
+    # Seen from frame 1: 2 a1 g1 = ahead, from the distance to the shoulder, and sin(alpha1) g2 = up, from the
+    # height. With g1^2 + g2^2 = h1^2 + h2^2 joint 2 is eliminated.
     ahead = Poly(plus(span_squared, -times(one.a, one.a))).less(chain.h_squared)
     up = Poly(z).less(chain.h[2].times(c))
     answers = []
-    if how in ("", "nearly meet", "nearly parallel"):
+    if split.is_full:
         thirds = _quartic_of_two_turns(chain, ahead, up, (x, y, z), setting)
-    elif how == "meet":
+    elif split == RegionalSplit.MEET:
         thirds = roots(chain, ahead, setting, safe.sqrt(span_squared))
     else:
         thirds = roots(chain, up, setting)
-    nearly = setting.close_pairs(how)
+    nearly = setting.close_pairs(split)
     for third in thirds:
         h1, h2, h3 = (pin(p.at(third.u, third.v)) for p in chain.h)
-        if how in ("", "nearly meet", "nearly parallel"):
+        if split.is_full:
             size = h1 * h1 + h2 * h2
             g1 = safe.divide(ahead.at(third.u, third.v), 2 * one.a)
             g2 = safe.divide(up.at(third.u, third.v), s)
-            if nearly and how == "nearly meet":
-                g1 = _side(ahead, third, chain, one.a, setting) * safe.sqrt(size - g2 * g2)
-            if nearly and how == "nearly parallel":
-                g2 = _side(up, third, chain, s, setting) * safe.sqrt(size - g1 * g1)
+            # A quotient by next to nothing: its size from g1^2 + g2^2 = h1^2 + h2^2, its sign apart.
+            if nearly and split == RegionalSplit.NEARLY_MEET:
+                g1 = _sign_in_close_pair(ahead, third, chain, one.a, setting) * safe.sqrt(size - g2 * g2)
+            if nearly and split == RegionalSplit.NEARLY_PARALLEL:
+                g2 = _sign_in_close_pair(up, third, chain, s, setting) * safe.sqrt(size - g1 * g1)
             second, free = setting.between(1, (h1, h2), (g1, g2))
             seconds = [(second, jnp.inf, free)]
-        elif how == "meet":
-            # A height of s makes one of its right side.
+        elif split == RegionalSplit.MEET:
+            # The equation was divided by s: times |s| its margin is a height again.
             seconds = [
                 (second, abs(s) * margin, free)
-                for second, margin, free in _turns(h2, h1, safe.divide(up.at(third.u, third.v), s), setting)
+                for second, margin, free in _both_turns(
+                    h2, h1, safe.divide(up.at(third.u, third.v), s), setting
+                )
             ]
         else:
             gap = ahead.at(third.u, third.v)
             seconds = [
-                (second, moved(safe.sqrt(span_squared), abs(2 * one.a) * margin, safe.sign(gap)), free)
-                for second, margin, free in _turns(h1, -h2, safe.divide(gap, 2 * one.a), setting)
+                (
+                    second,
+                    distance_moved(safe.sqrt(span_squared), abs(2 * one.a) * margin, safe.sign(gap)),
+                    free,
+                )
+                for second, margin, free in _both_turns(h1, -h2, safe.divide(gap, 2 * one.a), setting)
             ]
         for second, margin, free in seconds:
             g1, g2 = second.cos * h1 - second.sin * h2, second.sin * h1 + second.cos * h2
+            # The point in the plane square to axis 1, before joint 1 turns it to (x, y).
             arm = (plus(one.a, g1), plus(times(c, g2), times(-s, h3)))
             first, lost = setting.between(0, arm, (x, y))
             joints = (first, second, third.joint)
@@ -182,27 +203,29 @@ def _two_turns(chain: Chain, wanted: Vector, how: str, setting: Setting):
     return tuple(answers)
 
 
-def _side(p: Poly, third: Third, chain: Chain, factor: Scalar, setting: Setting) -> Scalar:
+def _sign_in_close_pair(p: Poly, third: Third, chain: Chain, factor: Scalar, setting: Setting) -> Scalar:
     """The sign of p / factor at a root, where `factor` is so small that p is next to zero there.
 
-    The equation that was solved is p^2 less a square times factor^2, so the roots come in close pairs, one of
-    each sign; where rounding hides it, it is told by which of the two rises.
+    The equation that was solved is p^2 - (factor g)^2 = 0, so its roots come in close pairs, one with p of
+    each sign. Where rounding hides the sign of p, it follows from which of the two roots is rising: there the
+    derivative 2 p p' is positive.
     """
     value = p.at(third.u, third.v)
-    slope = p.rate_at(third.u, third.v, chain.kinds[2] == "R")
-    told = third.rise * safe.sign(slope)
+    derivative = p.rate_at(third.u, third.v, chain.kinds[2] == "R")
+    by_rise = third.rise * safe.sign(derivative)
     # Of a value of size one, half the digits are lost at a double root.
     noise = 4 * setting.rounding**0.5
-    return jnp.where(abs(value) > noise, safe.sign(value), told) * safe.sign(factor)
+    return jnp.where(abs(value) > noise, safe.sign(value), by_rise) * safe.sign(factor)
 
 
 def _quartic_of_two_turns(chain: Chain, ahead: Poly, up: Poly, wanted: Vector, setting: Setting):
+    """Joint 3 from (s ahead)^2 + (a up)^2 = (a s)^2 (h1^2 + h2^2), with a = 2 a1 and s = sin(alpha1)."""
     one = chain.links[0]
     a, s = times(2.0, one.a), one.sin_alpha
     x, y, z = wanted
 
-    def slope(ahead, up):
-        """Of (s ahead)^2 + (a up)^2 in the point, of which ahead is the square and up the height."""
+    def gradient_norm(ahead, up):
+        """Of (s ahead)^2 + (a up)^2 with respect to the point: `ahead` has its square, `up` its height."""
         level, rise = 2 * s * s * ahead, a * a * up
         return 2 * safe.norm(level * x, level * y, level * z + rise)
 
@@ -210,8 +233,9 @@ def _quartic_of_two_turns(chain: Chain, ahead: Poly, up: Poly, wanted: Vector, s
         left = ahead.square().times(times(s, s)).plus(up.square().times(times(a, a)))
         whole = left.less(chain.across_squared.times(times(times(a, a), times(s, s))))
         return circle_roots(
-            chain, harmonics_of(whole), setting, lambda v, u: slope(ahead.at(u, v), up.at(u, v))
+            chain, harmonics_of(whole), setting, lambda v, u: gradient_norm(ahead.at(u, v), up.at(u, v))
         )
+    # Of the fourth degree in the slide q3: its coefficients, the constant first.
     square = [0.0] * 5
     for i, p in enumerate((ahead.one, ahead.u, ahead.uu)):
         for j, q in enumerate((ahead.one, ahead.u, ahead.uu)):
@@ -220,15 +244,16 @@ def _quartic_of_two_turns(chain: Chain, ahead: Poly, up: Poly, wanted: Vector, s
     for i, p in enumerate((rest.one, rest.u, rest.uu)):
         square[i] = plus(square[i], p)
 
-    def half_angle_slope(sine, cosine):
+    def half_angle_gradient_norm(sine, cosine):
         """Times cos(t / 2)^4, as the polynomial is."""
         square = (1 + cosine) / 2
-        return square * slope(ahead.at_half_angle(sine, cosine), up.at_half_angle(sine, cosine))
+        return square * gradient_norm(ahead.at_half_angle(sine, cosine), up.at_half_angle(sine, cosine))
 
-    return circle_roots(chain, half_angle_harmonics(square), setting, half_angle_slope)
+    return circle_roots(chain, half_angle_harmonics(square), setting, half_angle_gradient_norm)
 
 
-def _turn_slide(chain: Chain, wanted: Vector, how: str, setting: Setting):
+def _turn_slide(chain: Chain, wanted: Vector, split: RegionalSplit, setting: Setting):
+    """Joint 1 turns, joint 2 slides. Seen from frame 1, g3 is eliminated by the height z = s g2 + c g3."""
     one, two = chain.links[:2]
     x, y, z = wanted[0], wanted[1], wanted[2] - one.d
     s, c = one.sin_alpha, one.cos_alpha
@@ -238,7 +263,8 @@ def _turn_slide(chain: Chain, wanted: Vector, how: str, setting: Setting):
     ahead = g1.plus(Poly(one.a))
     around = x * x + y * y
     answers = []
-    if how == "square":
+    if split == RegionalSplit.SQUARE:
+        # c = 0: z = s g2 has joint 3 alone. Then g3 from x^2 + y^2 = (a1 + g1)^2 + g3^2.
         for third in roots(chain, Poly(z).less(g2.times(s)), setting):
             gap = around - ahead.at(third.u, third.v) ** 2
             for side in (1, -1):
@@ -246,18 +272,19 @@ def _turn_slide(chain: Chain, wanted: Vector, how: str, setting: Setting):
                 margin = jnp.minimum(third.margin, safe.sqrt(around) - abs(ahead.at(third.u, third.v)))
                 answers.append((third, g3, margin))
     else:
+        # g3 = (z - s g2) / c makes c g2 - s g3 = (g2 - s z) / c: `aside`, in x^2 + y^2 = ahead^2 + aside^2.
         aside = g2.less(Poly(times(s, z))).times(safe.divide(1, c))
         square = ahead.square().plus(aside.square()).less(Poly(around))
 
-        def slope(u, v):
+        def gradient_norm(u, v):
             slant = safe.divide(aside.at(u, v) * s, c)
             return 2 * safe.sqrt(around + slant * slant)
 
-        for third in second_degree(chain, square, setting, slope):
+        for third in second_degree(chain, square, setting, gradient_norm):
             g3 = safe.divide(z - s * g2.at(third.u, third.v), c)
-            if setting.close_pairs(how):
+            if setting.close_pairs(split):
                 gap = around - ahead.at(third.u, third.v) ** 2
-                side = _side(g2.less(Poly(times(s, z))), third, chain, c, setting)
+                side = _sign_in_close_pair(g2.less(Poly(times(s, z))), third, chain, c, setting)
                 g3 = safe.divide(c * g2.at(third.u, third.v) - side * safe.sqrt(gap), s)
             answers.append((third, g3, third.margin))
     ways = []
@@ -269,7 +296,8 @@ def _turn_slide(chain: Chain, wanted: Vector, how: str, setting: Setting):
     return tuple(ways)
 
 
-def _slide_turn(chain: Chain, wanted: Vector, how: str, setting: Setting):
+def _slide_turn(chain: Chain, wanted: Vector, split: RegionalSplit, setting: Setting):
+    """Joint 1 slides, joint 2 turns. Seen from frame 1, g1 is known, and y = c g2 - s g3 has no joint 1."""
     one = chain.links[0]
     s, c = one.sin_alpha, one.cos_alpha
     sine, cosine = known_sincos(one.theta)
@@ -277,27 +305,29 @@ def _slide_turn(chain: Chain, wanted: Vector, how: str, setting: Setting):
     g1 = x - one.a
     h1, h2, h3 = chain.h
     ways = []
-    if how == "square":
+    if split == RegionalSplit.SQUARE:
+        # c = 0: y = -s h3 has joint 3 alone. Then joint 2 from g1.
         thirds = roots(chain, Poly(y).plus(h3.times(s)), setting)
     else:
+        # g2 = (y + s h3) / c into g1^2 + g2^2 = h1^2 + h2^2.
         across = Poly(y).plus(h3.times(s))
         g2 = across.times(safe.divide(1, c))
         square = g2.square().plus(Poly(g1 * g1)).less(chain.across_squared)
 
-        def slope(u, v):
+        def gradient_norm(u, v):
             slant = safe.divide(g2.at(u, v), c)
             return 2 * safe.sqrt(g1 * g1 + slant * slant)
 
-        thirds = second_degree(chain, square, setting, slope)
+        thirds = second_degree(chain, square, setting, gradient_norm)
     for third in thirds:
         at = [p.at(third.u, third.v) for p in (h1, h2, h3)]
-        if how == "square":
-            seconds = _turns(at[0], -at[1], g1, setting)
+        if split == RegionalSplit.SQUARE:
+            seconds = _both_turns(at[0], -at[1], g1, setting)
         else:
             other = g2.at(third.u, third.v)
-            if setting.close_pairs(how):
+            if setting.close_pairs(split):
                 gap = at[0] * at[0] + at[1] * at[1] - g1 * g1
-                other = _side(across, third, chain, c, setting) * safe.sqrt(gap)
+                other = _sign_in_close_pair(across, third, chain, c, setting) * safe.sqrt(gap)
             second, free = setting.between(1, (at[0], at[1]), (g1, other))
             seconds = [(second, jnp.inf, free)]
         for second, margin, free in seconds:
@@ -308,7 +338,8 @@ def _slide_turn(chain: Chain, wanted: Vector, how: str, setting: Setting):
     return tuple(ways)
 
 
-def _two_slides(chain: Chain, wanted: Vector, how: str, setting: Setting):
+def _two_slides(chain: Chain, wanted: Vector, split: RegionalSplit, setting: Setting):
+    """Joints 1 and 2 slide: x = a1 + g1 has joint 3 alone, and the slides follow from y and z."""
     one, two = chain.links[:2]
     s, c = one.sin_alpha, one.cos_alpha
     sine, cosine = known_sincos(one.theta)
@@ -319,18 +350,19 @@ def _two_slides(chain: Chain, wanted: Vector, how: str, setting: Setting):
     ways = []
     for third in roots(chain, Poly(x - one.a).less(g1), setting):
         across, above = g2.at(third.u, third.v), h3.at(third.u, third.v)
+        # Joint 2 slides along z of frame 1 and joint 1 along z of frame 0: y = c g2 - s g3, then z.
         second = Slide(safe.divide(times(c, across) - y, s) - above)
         first = Slide(z - one.d - (times(s, across) + times(c, above + second.value)))
         ways.append(Regional((first, second, third.joint), third.margin, third.free))
     return tuple(ways)
 
 
-def _turns(a: Scalar, b: Scalar, c: Scalar, setting: Setting):
-    """Joint 2 from a cos + b sin = c, both ways."""
+def _both_turns(a: Scalar, b: Scalar, c: Scalar, setting: Setting):
+    """Both roots for joint 2 of a cos(t) + b sin(t) = c, as (joint, margin, whether it is arbitrary)."""
     answers = []
     for side in (1, -1):
-        root = cosine_sine(a, b, c, side, noise=setting.noise)
-        free = (a * a + b * b <= setting.tiny**2) & (abs(c) <= setting.tiny)
+        root = cosine_sine(a, b, c, side, noise=setting.length_uncertainty)
+        free = (a * a + b * b <= setting.zero_tolerance**2) & (abs(c) <= setting.zero_tolerance)
         turn = setting.filled(1, free | root.free, root.sin, root.cos)
         answers.append((turn, root.margin, free))
     return answers

@@ -1,7 +1,4 @@
-"""What the commands print: text for people, or one JSON object.
-
-Outside the storeys.
-"""
+"""What the commands print: text for people, or one JSON object."""
 
 import json
 import re
@@ -12,22 +9,23 @@ from ikjax.core.text import one_line, printable
 FILE_OPTIONS = ("base", "tip", "axis_tolerance")
 
 
-def say(options, text: str, data: dict) -> None:
+def print_result(options, text: str, data: dict) -> None:
+    """Text for people, or the data as JSON."""
     print(json.dumps(data, allow_nan=False) if options.json else printable(text))
 
 
-def complain(message: object) -> None:
+def print_error(message: object) -> None:
     """One line on stderr."""
     print(f"ikjax: {one_line(message)}", file=sys.stderr)
 
 
 def file_options(options) -> dict:
-    """What was said of a robot file."""
+    """The given options of a robot file."""
     return {key: getattr(options, key) for key in FILE_OPTIONS}
 
 
-def in_flags(options, text: str) -> str:
-    """The library's text with --tip for tip=, where that is an option."""
+def with_flags(options, text: str) -> str:
+    """The library's text, with --tip for tip= where the command has that option."""
     if not hasattr(options, "tip") or str(options.arm).endswith(".toml"):
         return text
     return re.sub(

@@ -1,9 +1,9 @@
-"""What gradients cost: `python benchmarks/slopes.py [ARM]`, a summed loss over every branch.
+"""Time of gradients: `python benchmarks/gradients.py [ARM]`, of a loss summed over every branch.
 
 Each row is a plain jit of the user's: the loss, and the loss with its gradient in the goals, in the link
 lengths, in every leaf of the arm; the same scanned in blocks that fit the cache, a thread for each core; then
-1,000 designs with 1,000 goals each, one program. The time of processor is that of all threads
-a goal: of a machine that others work on, no clock on the wall says much.
+1,000 designs with 1,000 goals each, in one program. Processor time is that of all threads per goal, because
+wall-clock time means little on a machine that is shared.
 """
 
 import dataclasses
@@ -28,12 +28,12 @@ def loss(arm, goals):
     return jnp.sin(ikjax.solve(arm, goals).q).sum()
 
 
-def scanned(slopes):
-    """Value and slopes in the first argument, summed over blocks of goals; slopes in the goals beside it."""
+def scanned(value_and_gradient):
+    """Value and gradient in the first argument, summed over blocks of goals; also that in the goals."""
 
     def summed(first, goals):
         def add(total, block):
-            value, found = slopes(first, block)
+            value, found = value_and_gradient(first, block)
             ours, theirs = found if isinstance(found, tuple) else (found, ())
             return jax.tree.map(jnp.add, total, (value, ours)), theirs
 
@@ -58,12 +58,12 @@ def main(name: str = "puma560") -> None:
 
     rows = {
         "loss": (lambda g: loss(arm, g), (goals,)),
-        "loss and slopes in the goals": (jax.value_and_grad(lambda g: loss(arm, g)), (goals,)),
+        "loss and gradient in the goals": (jax.value_and_grad(lambda g: loss(arm, g)), (goals,)),
         "loss of a traced arm": (loss, (arm, goals)),
-        "loss and slopes in a": (jax.value_and_grad(designed), (arm.a, goals)),
-        "loss and slopes in every leaf and the goals": (jax.value_and_grad(loss, (0, 1)), (arm, goals)),
-        "slopes in a, scanned": (scanned(jax.value_and_grad(designed)), (arm.a, goals)),
-        "slopes in every leaf and the goals, scanned": (
+        "loss and gradient in a": (jax.value_and_grad(designed), (arm.a, goals)),
+        "loss and gradient in every leaf and the goals": (jax.value_and_grad(loss, (0, 1)), (arm, goals)),
+        "gradient in a, scanned": (scanned(jax.value_and_grad(designed)), (arm.a, goals)),
+        "gradient in every leaf and the goals, scanned": (
             scanned(jax.value_and_grad(loss, (0, 1))),
             (arm, goals),
         ),
@@ -71,7 +71,7 @@ def main(name: str = "puma560") -> None:
             lambda a, g: jax.lax.map(lambda one: designed(one, g), a),
             (sizes, few),
         ),
-        f"{DESIGNS} designs x {DESIGNS} goals, loss and slopes in a": (
+        f"{DESIGNS} designs x {DESIGNS} goals, loss and gradient in a": (
             lambda a, g: jax.lax.map(lambda one: jax.value_and_grad(designed)(one, g), a),
             (sizes, few),
         ),

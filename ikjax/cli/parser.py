@@ -1,7 +1,4 @@
-"""The words of a command line: which commands there are and what they take.
-
-Outside the storeys.
-"""
+"""The argument parser: which commands there are and which options each takes."""
 
 import argparse
 import math
@@ -15,22 +12,22 @@ from ikjax.cli.show import run_show
 from ikjax.cli.stop import OTHERS_ENDED, TIME_IS_UP
 from ikjax.core.text import one_line
 
-ARM = "an arm of the catalogue, or a URDF file"
+ARM_HELP = "an arm of the catalogue, or a URDF file"
 
-SWEEP_ENDS = f"""\
-Beside a map in a folder lies its diary, MAP.log. Exit codes:
+SWEEP_EXIT_CODES = f"""\
+Beside a map in a folder is its log, MAP.log. Exit codes:
   0    swept, and something is reached
   1    swept, and nothing is reached
-  2    bad input, a map of another study, another writer at work
-  3    the map cannot be written; the units before that are whole
-  {TIME_IS_UP}    --max-hours are over; go on with --resume
-  {OTHERS_ENDED}    another process of --distributed ended early; go on with --resume
-  130  stopped by SIGINT (Ctrl-C), 143 by SIGTERM; go on with --resume
+  2    bad input, a map of another study, another process writing it
+  3    the map cannot be written; the units before that are complete
+  {TIME_IS_UP}    --max-hours are over; continue with --resume
+  {OTHERS_ENDED}    another process of --distributed ended early; continue with --resume
+  130  stopped by SIGINT (Ctrl-C), 143 by SIGTERM; continue with --resume
 """
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser whose complaint is one line, without the usage."""
+    """A parser whose error message is one line, without the usage."""
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"{self.prog}: {one_line(message)}\n")
@@ -50,7 +47,8 @@ def _count(text: str) -> int:
     return int(float(text))
 
 
-def parser() -> argparse.ArgumentParser:
+def build_parser() -> argparse.ArgumentParser:
+    """The parser of all commands; the parsed options carry the function to run."""
     top = _Parser(prog="ikjax", description="Closed-form inverse kinematics.")
     top.add_argument("--version", action="version", version=f"ikjax {ikjax.__version__}")
     commands = top.add_subparsers(required=True, metavar="COMMAND")
@@ -62,11 +60,11 @@ def parser() -> argparse.ArgumentParser:
         return parser
 
     info = command(run_info, "info", "List the catalogue, or describe one arm.")
-    info.add_argument("arm", nargs="?", help=ARM)
+    info.add_argument("arm", nargs="?", help=ARM_HELP)
     _add_file_options(info)
 
     solve = command(run_solve, "solve", "Every branch of one goal.")
-    solve.add_argument("arm", help=ARM)
+    solve.add_argument("arm", help=ARM_HELP)
     _add_file_options(solve)
     solve.add_argument("--xyz", nargs=3, type=float, required=True, metavar=("X", "Y", "Z"), help="[m]")
     turn = solve.add_mutually_exclusive_group()
@@ -74,22 +72,22 @@ def parser() -> argparse.ArgumentParser:
     turn.add_argument("--wxyz", nargs=4, type=float, metavar=("W", "X", "Y", "Z"))
     turn.add_argument("--xyzw", nargs=4, type=float, metavar=("X", "Y", "Z", "W"))
     turn.add_argument("--rotvec", nargs=3, type=float, metavar=("X", "Y", "Z"), help="[rad]")
-    solve.add_argument("--q-now", nargs="+", type=float, help="joints [rad] that arbitrary ones follow")
+    solve.add_argument("--q-now", nargs="+", type=float, help="present joints [rad]: arbitrary ones stay")
     solve.add_argument("--limits", action="store_true", help="only what is within the joint limits counts")
     solve.add_argument("--radians", action="store_true", help="print radians, not degrees")
     _add_dtype(solve, "--float32")
 
     sweep = command(run_sweep, "sweep", "Sweep an arm's workspace: a map, a picture, a summary.")
     sweep.formatter_class = argparse.RawDescriptionHelpFormatter
-    sweep.epilog = SWEEP_ENDS
-    sweep.add_argument("arm", metavar="ARM|STUDY.toml", help=f"{ARM}, or a file that says all")
+    sweep.epilog = SWEEP_EXIT_CODES
+    sweep.add_argument("arm", metavar="ARM|STUDY.toml", help=f"{ARM_HELP}, or a file with the whole study")
     _add_file_options(sweep)
     sweep.add_argument("--spacing", type=_size, help="between positions [m], 0.05 by default")
     sweep.add_argument("--orientations", type=int, help="even ones at every position, 512 by default")
     sweep.add_argument("--out", help="store the map here: a folder (zarr v3), or a URL such as s3://...")
-    sweep.add_argument("--resume", action="store_true", help="go on with what is at --out, or start")
+    sweep.add_argument("--resume", action="store_true", help="continue the map at --out, or start it")
     sweep.add_argument("--force", action="store_true", help="replace a map; with --resume, another study's")
-    sweep.add_argument("--max-hours", type=_size, help="stop at the end of a unit after so long")
+    sweep.add_argument("--max-hours", type=_size, help="stop at the end of a unit after this time")
     sweep.add_argument("--distributed", action="store_true", help="share the units with other processes")
     sweep.add_argument("--coordinator", metavar="HOST:PORT", help="where jax does not find it by itself")
     sweep.add_argument("--processes", type=int, metavar="N", help="likewise; and --process, 0 to N - 1")
@@ -97,7 +95,7 @@ def parser() -> argparse.ArgumentParser:
     sweep.add_argument("--compare", metavar="MAP", help="an earlier map to compare with")
     sweep.add_argument("--picture", help="write a PNG here")
     _add_dtype(sweep, "--float64")
-    sweep.add_argument("--certify", action="store_true", help="solve in float64 what float32 is not sure of")
+    sweep.add_argument("--certify", action="store_true", help="solve uncertain goals again in float64")
 
     show = command(run_show, "show", "Summary, page (HTML) and picture of a stored map, or of two compared.")
     show.add_argument("map")
@@ -107,8 +105,8 @@ def parser() -> argparse.ArgumentParser:
     show.add_argument("--viewer", action="store_true", help="turn the map in a browser, on 127.0.0.1 only")
     show.add_argument("--port", type=int, default=8080, help="of the viewer, 8080 by default")
 
-    verify = command(run_verify, "verify", "Solve goals made by an arm's own joints and judge every answer.")
-    verify.add_argument("arm", nargs="*", help=f"{ARM}; all of the catalogue by default")
+    verify = command(run_verify, "verify", "Solve goals made by an arm's own joints and check every answer.")
+    verify.add_argument("arm", nargs="*", help=f"{ARM_HELP}; all of the catalogue by default")
     _add_file_options(verify)
     verify.add_argument("-n", type=_count, default=100_000, dest="count", help="random goals an arm")
     verify.add_argument("--out", help="write the table here, as Markdown")

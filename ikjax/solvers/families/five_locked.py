@@ -1,0 +1,120 @@
+"""The `five_axis` arms with joint 2 or 4 locked at a limit, for a goal that they need not reach.
+
+Branches: those of `five_axis` for each joint and limit. Frames and signs are the same.
+
+Where the nearest pose is not within the joint limits, the nearest one that is has a joint at a limit, as a
+rule joint 2 or 4. The point is attained all the same: because the pitch is free, two links reach the foot of
+the tool point that `five_nearest` gives for that side.
+
+Steps:
+1. hand: joint 1 and the foot, by `five_nearest`.
+2. triangle of two links that end in the foot:
+       joint 2 locked    axis 3 is fixed; link 3, and the hand
+       joint 4 locked    link 2; and link 3 and the hand as one
+3. roll: the best for the pitch that follows.
+The foot of a tool point off axis 5 stays where the nearest hand has it, which is good enough to start a
+refinement from.
+
+Bits: front or back as in `five_axis`; then left or right: the bend of the triangle.
+
+Source: ours.
+"""
+
+import jax.numpy as jnp
+
+from ikjax.arm.forward import Link
+from ikjax.arm.recognition.signs import FiveAxisSigns
+from ikjax.core import safe
+from ikjax.core.pose import Pose
+from ikjax.core.tolerances import SHORT_HAND
+from ikjax.core.trig import Scalar, SinCos
+from ikjax.core.vector import plus, times
+from ikjax.core.xla import pin
+from ikjax.solvers.context import Joints, Setting, bits
+from ikjax.solvers.families.five_axis import joints_of
+from ikjax.solvers.families.five_nearest import Hand, hand_of, roll_of, turned, wrist_of
+from ikjax.solvers.steps.triangle import Triangle, triangle
+
+LOCKABLE = (1, 3)
+"""The joints that can be locked, counted from 0."""
+
+
+def branches(
+    signs: FiveAxisSigns,
+    links: tuple[Link, ...],
+    goal: Pose,
+    setting: Setting,
+    limits: dict[int, list[SinCos]],
+) -> list[Joints]:
+    """Joints of both sides and both bends, for every limit of every joint; `limits` are DH angles."""
+    answers = []
+    for first in (0, 1):
+        side = bits(first)[0] * safe.sign(links[0].a)
+        hand = hand_of(signs, links, goal, side, setting)
+        for joint, angles in limits.items():
+            for angle in angles:
+                for left in (1.0, -1.0):
+                    bent = _bent(signs, links, hand, setting, joint, angle, left)
+                    shoulder, elbow, pitch = ((pin(x), pin(y)) for x, y in bent)
+                    roll = setting.angle(*roll_of(signs, hand.rotation, pitch, links[3], setting))
+                    # Its margin is not used.
+                    arm = Triangle(shoulder[0], shoulder[1], elbow[0], elbow[1], jnp.inf, False)
+                    answers.append(joints_of(signs, hand.base, arm, pitch, roll, setting))
+    return answers
+
+
+def _bent(
+    signs: FiveAxisSigns,
+    links: tuple[Link, ...],
+    hand: Hand,
+    setting: Setting,
+    joint: int,
+    angle: SinCos,
+    left: float,
+) -> tuple[SinCos, SinCos, SinCos]:
+    """Shoulder, elbow and pitch, with one joint at an angle.
+
+    Args:
+        signs, links, setting: As in `branches`.
+        hand: Joint 1 and the foot.
+        joint: The one that is locked.
+        angle: Its DH angle.
+        left: +1 bends the triangle to the left, -1 to the right.
+    """
+    _, two, three, four = links[:4]
+    (x, y), wrist = hand.foot, wrist_of(signs, four, setting)
+    if joint == 1:
+        length, lean = _polar(*wrist)
+        x, y = x - times(two.a, angle[1]), y - times(two.a, angle[0])
+        far = triangle(x, y, three.a, length, left, setting)
+        fore = far.shoulder_sin, far.shoulder_cos
+        return angle, _difference(fore, angle), _difference(_sum(fore, (far.elbow_sin, far.elbow_cos)), lean)
+    tip = times(float(signs.cos_alpha23), angle[0]), angle[1]
+    ahead, aside = turned(wrist, tip)
+    length, lean = _polar(plus(three.a, ahead), aside)
+    far = triangle(x, y, two.a, length, left, setting)
+    shoulder, elbow = (far.shoulder_sin, far.shoulder_cos), _difference((far.elbow_sin, far.elbow_cos), lean)
+    return shoulder, elbow, _sum(_sum(shoulder, elbow), tip)
+
+
+def _polar(x: Scalar, y: Scalar) -> tuple[Scalar, SinCos]:
+    """Length and direction of a link in the plane."""
+    size = safe.sqrt(plus(times(x, x), times(y, y)))
+    if isinstance(size, float):
+        return max(size, SHORT_HAND), (y / size, x / size) if size > SHORT_HAND else (0.0, 1.0)
+    known = size > SHORT_HAND
+    sine, cosine = jnp.where(known, safe.divide(y, size), 0), jnp.where(known, safe.divide(x, size), 1)
+    return jnp.maximum(size, SHORT_HAND), (sine, cosine)
+
+
+def _sum(one: SinCos, other: SinCos) -> SinCos:
+    """Of two angles."""
+    return (
+        plus(times(one[0], other[1]), times(one[1], other[0])),
+        plus(times(one[1], other[1]), times(-1.0, times(one[0], other[0]))),
+    )
+
+
+def _difference(one: SinCos, other: SinCos) -> SinCos:
+    """Of two angles."""
+    return _sum(one, (times(-1.0, other[0]), other[1]))
