@@ -129,12 +129,15 @@ def docstring(module: str) -> str:
 def as_markdown(text: str) -> str:
     """A docstring with the blank lines that Markdown wants around its lists, and its headings bold."""
     lines: list[str] = []
-    number = 0
+    inside = False
     for line in text.splitlines():
-        item = line.startswith(f"{number + 1}. ")
-        begins, ends = item and number == 0, number and line and not item and not line.startswith("   ")
-        if (begins or ends) and lines and lines[-1]:
+        # Elsewhere a number at the beginning of a line is the end of a sentence.
+        item = re.match(r"(\d+\.) " if inside else r"(1\.) ", line)
+        ends = inside and line and not item and not line.startswith("   ")
+        if lines and lines[-1] and (ends or (item and not inside)):
             lines.append("")
-        number = number + 1 if item else 0 if ends else number
+        inside = bool(item) or (inside and not ends)
+        # Markdown would count for itself.
+        line = f"- **{item[1]}** {line[item.end() :]}" if item else line
         lines.append(re.sub(r"^([A-Z]\w+):(?= |$)", r"**\1:**", line))
     return "\n".join(lines)
