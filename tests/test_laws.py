@@ -12,8 +12,8 @@ import pytest
 
 import ikjax
 
-QUICK = ("puma560", "ur5", "gx4_351s")
-MORE = ("stanford", "so101", "planar_3r")
+QUICK = ("puma560", "gx4_351s")
+MORE = ("ur5", "stanford", "so101", "planar_3r")
 ARMS = [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in MORE)]
 MOVED = np.asarray(ikjax.pose(xyz=(0.3, -0.2, 0.5), rpy=(0.4, -0.7, 1.1)))
 COUNT = 64
