@@ -42,6 +42,13 @@ class VerifyReport(NamedTuple):
     worst: float
     """Greatest position error of a valid slot, as a share of reach + |p|."""
 
+    def __str__(self) -> str:
+        return (
+            f"{self.arm} ({self.family}, {self.dtype}): {self.goals:,} goals, {self.singular:,} more at right "
+            f"angles: wrong {self.wrong:,}, none {self.none:,}, missing {self.missing:,}; "
+            f"worst error {self.worst:.1g}"
+        )
+
 
 def verify(arm: Arm, count: int = 100_000, *, dtype: DTypeLike | None = None, seed: int = 0) -> VerifyReport:
     """Solve goals made of random joints, and count right, wrong and missing answers.

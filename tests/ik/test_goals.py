@@ -343,3 +343,11 @@ class TestNoPose:
         sol = jax.jit(jax.vmap(lambda T: ikjax.solve(ARM, T)))(batch)
         np.testing.assert_array_equal(sol.is_pose, [True, False, False])
         assert sol.is_pose.shape == (3,) and solve(batch.reshape(3, 1, 4, 4)).is_pose.shape == (3, 1)
+
+
+def test_a_report_of_verification_reads_as_one_line():
+    report = ikjax.VerifyReport("puma560", "ortho_parallel_wrist", "float64", 1000, 999, 0, 0, 1, 100, 2e-15)
+    assert str(report) == (
+        "puma560 (ortho_parallel_wrist, float64): 1,000 goals, 100 more at right angles: "
+        "wrong 0, none 0, missing 1; worst error 2e-15"
+    )
