@@ -44,8 +44,8 @@ class VerifyReport(NamedTuple):
 
     def __str__(self) -> str:
         return (
-            f"{self.arm} ({self.family}, {self.dtype}): {self.goals:,} goals, {self.singular:,} more at right "
-            f"angles: wrong {self.wrong:,}, none {self.none:,}, missing {self.missing:,}; "
+            f"{self.arm} ({self.family}, {self.dtype}): {self.goals:,} goals, {self.singular:,} more at "
+            f"right angles: wrong {self.wrong:,}, none {self.none:,}, missing {self.missing:,}; "
             f"worst error {self.worst:.1g}"
         )
 
