@@ -207,11 +207,15 @@ def _line_pair(p: Scalar, q: Scalar, k: Scalar, n: Scalar, complement: Scalar) -
     first^2 - second^2 = gap.
     """
     near, far, gap = agreed(safe.sqrt(n)), agreed(safe.sqrt(complement)), k + 1 - n
-    # Where the lines are parallel to an axis, its own quotient is 0 / 0: the other one and the gap decide.
+    # Where the lines are parallel to an axis, its own quotient is 0 / 0: the other one, whose divisor is at
+    # least 1, and the gap decide.
     first, second = safe.divide(p, near), safe.divide(q, far)
     first_squared, second_squared = gap + second * second, first * first - gap
-    first = jnp.where(n < first_squared, safe.sign(p) * safe.sqrt(first_squared), first)
-    second = jnp.where(complement < second_squared, safe.sign(q) * safe.sqrt(second_squared), second)
+    steep = n > 1
+    first = jnp.where(~steep & (n < first_squared), safe.sign(p) * safe.sqrt(first_squared), first)
+    second = jnp.where(
+        steep & (complement < second_squared), safe.sign(q) * safe.sqrt(second_squared), second
+    )
     # The sum and the difference of both without cancellation: their product is the gap.
     alike = (first < 0) == (second < 0)
     large = first + jnp.where(alike, second, -second)

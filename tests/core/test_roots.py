@@ -152,6 +152,31 @@ class TestCircleQuartic:
             # A pair 1e-3 apart is a double root to what float32 knows of the coefficients.
             assert np.quantile(off, 0.9) < 2e-2
 
+    @pytest.mark.parametrize("turned", [0.0, 1e-12, 1e-9, 1e-5, 0.4, np.pi / 2, 3.0])
+    @pytest.mark.parametrize("off", [0.0, 1e-12, 1e-8])
+    def test_two_real_roots_are_found_where_the_other_two_are_complex_and_symmetric(self, turned, off, dtype):
+        """An arm whose axes 2 and 3 are parallel, without offsets: joint 3 and its negative are answers
+        alike."""
+        rng = np.random.default_rng(6)
+        first = rng.uniform(-0.99, 0.99, 500)
+        second = rng.uniform(1.05, 6, 500) * rng.choice([-1, 1], 500)
+        # 2 (cos t - first) (cos t - second), turned.
+        along = -(first + second)
+        columns = [
+            np.full(500, np.cos(2 * turned)),
+            np.full(500, np.sin(2 * turned)),
+            along * np.cos(turned),
+            along * np.sin(turned) + off,
+            1 + 2 * first * second,
+        ]
+        polynomials = np.stack(columns, -1)
+        polynomials /= np.abs(polynomials).sum(-1, keepdims=True)
+        wanted = turned + np.arccos(first)[:, None] * BOTH
+        angles, real = _found(polynomials, dtype)
+        away = np.where(real[:, :, None], _apart(angles[:, :, None], wanted[:, None, :]), np.inf).min(1)
+        assert (real.sum(-1) == 2).all()
+        assert away.max() < (1e-6 if dtype == np.float64 else 2e-3)
+
     def test_the_number_of_roots_is_that_of_the_eigenvalues_on_the_circle(self):
         rng = np.random.default_rng(4)
         polynomials = rng.normal(size=(2000, 5))

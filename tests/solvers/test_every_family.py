@@ -317,3 +317,27 @@ def test_left_and_right_are_sides_of_the_line_from_first_joint_to_last(name):
     up = frames[..., turning[0], :3, 2]
     side = np.einsum("...i,...i->...", np.cross(last - ends[0], ends[1] - ends[0]), up)
     assert (side[:, 0] > 0)[sol.valid[:, 0]].all() and (side[:, 1] < 0)[sol.valid[:, 1]].all()
+
+
+COMMON = {
+    "position": {"a": [0.05, 0.5, 0.4], "alpha": [-90, 0, 0], "d": [0.4, 0, 0]},
+    "pieper": {
+        "a": [0.05, 0.5, 0, 0, 0, 0],
+        "alpha": [-80, 0, -90, 90, -90, 0],
+        "d": [0.4, 0, 0, 0.4, 0, 0.08],
+    },
+}
+
+
+@pytest.mark.parametrize("family", ["position", pytest.param("pieper", marks=pytest.mark.slow)])
+def test_an_arm_with_parallel_axes_and_no_offsets_is_answered(family):
+    """The equation for joint 3 is the same for its negative; of its other two roots many are complex."""
+    table = {**COMMON[family], "alpha": np.deg2rad(COMMON[family]["alpha"])}
+    arm = ikjax.Arm.from_dh(**table, convention="standard")
+    assert arm.family == family
+    q = np.random.default_rng(0).uniform(-3, 3, (4000, arm.n))
+    goals = ikjax.fk(arm, q)
+    assert np.asarray(ikjax.solve(arm, goals).valid).any(-1).all()
+    # float32 misses what rounding hides near singularities.
+    rough = ikjax.solve(arm.astype(np.float32), np.asarray(goals, np.float32))
+    assert (~np.asarray(rough.valid).any(-1)).sum() <= 12
