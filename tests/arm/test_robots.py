@@ -128,7 +128,7 @@ def test_a_universal_robot_that_is_up_stands_straight_up(name):
 @pytest.mark.parametrize("name", ikjax.robots.names())
 def test_named_poses_lie_within_the_joint_limits(name):
     poses, arm = ikjax.robots.poses(name), ikjax.robots.get(name)
-    assert poses or name == "stanford"
+    assert poses or name == "stanford", "give @robot(...) at least a pose `zero`"
     low, high = np.asarray(arm.limits).T
     for q in poses.values():
         assert len(q) == arm.n and all(type(x) is float for x in q)
