@@ -20,6 +20,8 @@ DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.rglob("*.md"))
 QUICK = ("index.md", "conventions/frames.md")
 """The pages that the fast tests run: the others compile for long."""
+SLOW = ("gradients.md", "jit.md", "how-to/urdf.md", "how-to/limits.md", "how-to/maps.md")
+"""Those of the slow form, and all of `extending/`; the rest is of the long form."""
 
 BLOCKS = re.compile(r"^```(python|text)\n(.*?)^```$(\n*)", re.S | re.M)
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?")
@@ -60,7 +62,9 @@ def alike(shown: str, said: str) -> bool:
 
 def _mark(page):
     name = str(page.relative_to(DOCS))
-    return pytest.param(page, id=name, marks=[] if name in QUICK else [pytest.mark.slow])
+    slow = name in SLOW or name.startswith("extending/")
+    marks = [] if name in QUICK else [pytest.mark.slow if slow else pytest.mark.long]
+    return pytest.param(page, id=name, marks=marks)
 
 
 @pytest.mark.parametrize("page", [_mark(page) for page in PAGES if examples(page)])

@@ -14,7 +14,7 @@ import ikjax
 
 QUICK = ("puma560", "gx4_351s")
 MORE = ("ur5", "stanford", "so101", "planar_3r")
-ARMS = [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in MORE)]
+ARMS = [*QUICK, *(pytest.param(name, marks=pytest.mark.long) for name in MORE)]
 MOVED = np.asarray(ikjax.pose(xyz=(0.3, -0.2, 0.5), rpy=(0.4, -0.7, 1.1)))
 COUNT = 64
 
@@ -126,7 +126,7 @@ def reversed_arm(arm: ikjax.Arm) -> ikjax.Arm:
 
 @pytest.mark.parametrize(
     ("name", "family"),
-    [("puma560", "pieper_reversed"), pytest.param("ur5", "parallel_axes", marks=pytest.mark.slow)],
+    [("puma560", "pieper_reversed"), pytest.param("ur5", "parallel_axes", marks=pytest.mark.long)],
 )
 def test_an_arm_read_from_its_tool_has_the_same_solutions(name, family):
     arm, q, goals = reached(name)
