@@ -8,8 +8,8 @@ the first is for float32: its rounding, 1.2e-7, is half a billion times that of 
 # Poses and rotations
 
 ROTATION = 1e-5
-"""`solve` masks a goal whose |R^T R - I| is larger. Matrices stored in float32 are off by 1e-7, and what is
-off by 1e-5 still has one nearest rotation that float32 cannot tell from others beside it."""
+"""`solve` masks a goal whose |R^T R - I| is larger. Matrices stored in float32 are off by some
+1e-7: that leaves room for a few products of them."""
 
 NEARLY_ROTATION = 1e-2
 """Up to this |R^T R - I| the nearest rotation stands for the goal, in `project`, `refine`, `track` and with
@@ -23,7 +23,8 @@ LARGEST_ENTRY = 1e6
 """Entries of a goal's rotation are clipped to this, because their fourth power must be finite in float32."""
 
 FARTHEST_GOAL = 1e6
-"""[reaches] Goals beyond are answered as if they stood there: their square must be finite in float32."""
+"""[reaches] Goals beyond are answered as if they stood there, so that no power of their distance
+overflows."""
 
 MILLIMETRES = 10
 """[reaches] Goals beyond are taken for millimetres. A goal within reach is, in millimetres, a hundred reaches
@@ -40,7 +41,8 @@ AXIS_LADDER = (1e-5, 1e-4, 1e-3)
 are off by 1.4e-4 (AgileX PiPER), 2.0e-4 (Doosan M and A) and 3.7e-4 (Kinova Gen3)."""
 
 LARGEST_AXIS_TOLERANCE = 0.02
-"""The largest `axis_tolerance` that is accepted: Newton's method from the recognized arm still converges."""
+"""The largest `axis_tolerance` that is accepted; an arm that is further off is not taken for one of the
+family."""
 
 UNSEEN = 0.01
 """A correction below this share of `VALID` cannot decide whether a pose is valid: it is left out."""
@@ -81,10 +83,10 @@ of (reach + |p|). Tighter would drop true answers beside singularities, where a 
 1e-12."""
 
 TINY = 64
-"""[eps] Lengths and sines below count as zero: some tens of roundings went into them."""
+"""[eps] Lengths and sines below count as zero. The number is a choice, not a derived bound."""
 
 SHORT_HAND = 1e-3
-"""A hand that is shorter turns about the point itself, and holds no joint at its limit."""
+"""The least that counts as a hand's length; a shorter one turns about the point itself."""
 
 # Projection and gradients
 
@@ -137,5 +139,4 @@ singularity makes of one."""
 # Synthesis
 
 CONSTRAINT_MET = 1e-4
-"""A constraint of a design counts as met up to this above zero: the augmented Lagrangian approaches it from
-there."""
+"""Constraints of a design that are above zero by less count as met."""

@@ -52,7 +52,7 @@ def divider(like: jax.Array) -> Pin:
     recomputed again; so the ones have the shape of the batch.
     Seen with: jax 0.10.2 to 0.12.0, CPU.
     Figures: compile of a gradient in all numbers of a PUMA 54 s before, 8 s with ones of the whole shape.
-    Test: tests/ik/test_known.py and `make guard` (joints in a jit); it may go when XLA keeps what an
+    Test: `make guard` (joints in a jit, its gradient); it may go when XLA keeps what an
     `optimization_barrier` marks.
     """
     one = opaque_one(like)
