@@ -58,14 +58,14 @@ def _hash_of(name: str, program: ClosedJaxpr) -> str:
 
 def _constants(part: Any) -> Iterator[Any]:
     """Every constant of a program, in the order of its operations."""
-    if isinstance(part, ClosedJaxpr):
-        yield from _constants(part.consts)
-        yield from _constants(part.jaxpr)
-    elif isinstance(part, Jaxpr):
-        for equation in part.eqns:
+    if isinstance(part, ClosedJaxpr | Jaxpr):
+        # jax 0.12 made one class of the two, whose `jaxpr` is itself; before, only a closed one had constants.
+        yield from _constants(getattr(part, "consts", ()))
+        program = getattr(part, "jaxpr", part)
+        for equation in program.eqns:
             yield from _constants(equation.invars)
             yield from _constants(equation.params)
-        yield from _constants(part.outvars)
+        yield from _constants(program.outvars)
     elif isinstance(part, Literal):
         yield part.val
     elif isinstance(part, dict):
