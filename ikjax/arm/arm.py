@@ -8,6 +8,7 @@ modified DH after Craig, Introduction to Robotics, 3rd ed., section 3.4.
 """
 
 import dataclasses
+import functools
 import math
 import os
 from typing import Any
@@ -24,13 +25,19 @@ from ikjax.arm.recognition.rules import RULES
 from ikjax.arm.recognition.signs import named_signs
 from ikjax.core import pose as poses
 from ikjax.core import text
-from ikjax.core.known import as_array, constants, is_traced
 from ikjax.core.tolerances import AXIS_LADDER, COMPLETE, FACT, LARGEST_AXIS_TOLERANCE, TABLE_SPREAD
 from ikjax.core.trig import Scalar
 from ikjax.core.typing import ArrayInput
 from ikjax.core.warn import warn
+from ikjax.core.xla import as_array, constants, is_traced
 
 Number = jax.Array | np.ndarray
+
+
+@functools.lru_cache(maxsize=1024)
+def _lines(names: tuple[str, ...]) -> tuple[str, ...]:
+    """The names as one line each. Kept, because jax builds an arm anew whenever one enters a program."""
+    return tuple(map(text.line, names))
 
 
 @jax.tree_util.register_dataclass
@@ -85,12 +92,13 @@ class Arm:
 
     def __post_init__(self):
         # Files name arms and joints, and names go into tables, errors and logs: there they are one line each.
-        object.__setattr__(self, "name", text.line(self.name))
-        object.__setattr__(self, "branches", tuple(map(text.line, self.branches)))
+        object.__setattr__(self, "name", _lines((self.name,))[0])
+        object.__setattr__(self, "branches", _lines(tuple(self.branches)))
         if self.joint_names is not None:
-            object.__setattr__(self, "joint_names", tuple(map(text.line, self.joint_names)))
-        # Whoever builds an arm may give a plain tuple.
-        object.__setattr__(self, "signs", named_signs(self.family, self.signs))
+            object.__setattr__(self, "joint_names", _lines(tuple(self.joint_names)))
+        if not hasattr(self.signs, "_fields"):
+            # Whoever builds an arm may give a plain tuple.
+            object.__setattr__(self, "signs", named_signs(self.family, self.signs))
 
     @staticmethod
     def from_dh(

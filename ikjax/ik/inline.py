@@ -23,9 +23,8 @@ import jax.numpy as jnp
 
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import reach
-from ikjax.core.known import is_traced
 from ikjax.core.pose import Pose, clean
-from ikjax.core.xla import AgreedRoots, divider, hidden, pinning, through_one_number
+from ikjax.core.xla import AgreedRoots, divider, hidden, is_traced, pinning, through_one_number
 from ikjax.ik.results import Solutions
 from ikjax.solvers.families import FAMILIES
 from ikjax.solvers.pipeline import Slot, solve_scalars

@@ -19,11 +19,20 @@ from jax.typing import ArrayLike
 
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import reach, whole_turns
-from ikjax.core.known import as_array, is_traced, stop_gradient
 from ikjax.core.pose import Pose, nearest_pose
 from ikjax.core.tolerances import CONVERGED, NEARLY_ROTATION
 from ikjax.core.trig import Scalar
-from ikjax.core.xla import Pin, divider_once, one_by_one, pinning, to_columns, to_rows
+from ikjax.core.xla import (
+    Pin,
+    as_array,
+    divider_once,
+    is_traced,
+    one_by_one,
+    pinning,
+    stop_gradient,
+    to_columns,
+    to_rows,
+)
 from ikjax.ik import batched, lexicographic, newton
 from ikjax.ik.inline import Entries, entries_of
 from ikjax.ik.newton import Joints, bounds

@@ -9,7 +9,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from ikjax.arm.arm import Arm
-from ikjax.core.known import as_array, stop_gradient
+from ikjax.core.xla import as_array, stop_gradient
 from ikjax.ik.lexicographic import checked_priority
 from ikjax.ik.multistart import (
     STEPS,

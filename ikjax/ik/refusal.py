@@ -13,7 +13,7 @@ from ikjax.arm.arm import Arm
 from ikjax.arm.axes_to_dh import Axes, rewritten, small_pose
 from ikjax.arm.recognition import recognize
 from ikjax.arm.recognition.facts import Check
-from ikjax.core.known import is_traced
+from ikjax.core.xla import is_traced
 
 LADDER = ("1e-5", "1e-4", "1e-3", "0.01", "0.02")
 """Tolerances of `Arm.from_dh` and `Arm.from_urdf` that are tried, up to the largest that they take."""

@@ -16,9 +16,8 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from ikjax.arm.arm import Arm
-from ikjax.core.known import as_array, is_traced, stop_gradient
 from ikjax.core.warn import MOST_TURNS, warn_of_degrees
-from ikjax.core.xla import not_folded
+from ikjax.core.xla import as_array, is_traced, not_folded, stop_gradient
 from ikjax.ik import batched
 from ikjax.ik.inline import solve_inline
 from ikjax.ik.refusal import refusal

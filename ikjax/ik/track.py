@@ -14,8 +14,8 @@ from jax.typing import ArrayLike
 
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import reach
-from ikjax.core.known import as_array, stop_gradient
 from ikjax.core.tolerances import TRACK_SLACK, VALID
+from ikjax.core.xla import as_array, stop_gradient
 from ikjax.ik import newton
 from ikjax.ik.inline import entries_of, jit_with_arm
 from ikjax.ik.multistart import (

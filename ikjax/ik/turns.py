@@ -14,9 +14,9 @@ from jax.typing import ArrayLike
 
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import whole_turns
-from ikjax.core.known import as_array
 from ikjax.core.trig import Scalar, with_turns
 from ikjax.core.warn import MOST_TURNS, warn_of_degrees
+from ikjax.core.xla import as_array
 from ikjax.ik.results import Solutions
 
 TURN = 2 * math.pi

@@ -31,11 +31,10 @@ from ikjax.arm.forward import (
 )
 from ikjax.core import pose as poses
 from ikjax.core import safe, vector
-from ikjax.core.known import is_traced
 from ikjax.core.pose import Pose
 from ikjax.core.tolerances import TINY, UNSEEN, VALID
 from ikjax.core.trig import Angle, Scalar, atan2, canonical, sincos, wrap
-from ikjax.core.xla import pin
+from ikjax.core.xla import is_traced, pin
 from ikjax.solvers.context import Branch, Joints, Setting, Slide, placed
 from ikjax.solvers.families import FAMILIES, Family
 from ikjax.solvers.given_arm import Given, polished

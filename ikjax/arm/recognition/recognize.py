@@ -12,8 +12,8 @@ import numpy as np
 from ikjax.arm.axes_to_dh import small_pose, twist_of
 from ikjax.arm.recognition.facts import Check, Table
 from ikjax.arm.recognition.rules import RULES, Judgement, nearly_split
-from ikjax.core.known import is_traced
 from ikjax.core.tolerances import FACT
+from ikjax.core.xla import is_traced
 
 
 def tolerance_of(dtype) -> float:
