@@ -11,6 +11,7 @@ import dataclasses
 import functools
 import math
 import os
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -32,6 +33,17 @@ from ikjax.core.warn import warn
 from ikjax.core.xla import as_array, constants, is_traced
 
 Number = jax.Array | np.ndarray
+
+
+def once_for_each_arm(f: Callable) -> Callable:
+    """f(arm, *arguments), hashable ones, computed once for each arm of constants and then remembered."""
+    remembered = functools.lru_cache(maxsize=128)(f)
+
+    @functools.wraps(f)
+    def call(arm: "Arm", *arguments):
+        return (remembered if arm._is_constant else f)(arm, *arguments)
+
+    return call
 
 
 @functools.lru_cache(maxsize=1024)
@@ -253,6 +265,14 @@ class Arm:
     def dtype(self) -> np.dtype:
         """Floating type of the leaves."""
         return self.alpha.dtype
+
+    @functools.cached_property
+    def _is_constant(self) -> bool:
+        """Whether no leaf can change: none is traced, or a numpy array that can be written."""
+        return not any(
+            leaf.flags.writeable if isinstance(leaf, np.ndarray) else isinstance(leaf, jax.core.Tracer)
+            for leaf in jax.tree.leaves(self)
+        )
 
     @property
     def complete(self) -> bool:

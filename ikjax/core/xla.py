@@ -60,10 +60,16 @@ def as_array(x: Any, dtype: Any) -> Any:
     if isinstance(x, np.ndarray | jax.Array) and x.dtype == dtype:
         return x
     if isinstance(x, np.ndarray):
-        return x.astype(dtype)
+        return constant(x.astype(dtype))
     # Concrete also while an outer function is traced.
     with jax.ensure_compile_time_eval():
         return jnp.asarray(x, dtype)
+
+
+def constant(x: np.ndarray) -> np.ndarray:
+    """The same array, which cannot be written any more."""
+    x.flags.writeable = False
+    return x
 
 
 def constants(tree: Tree) -> Tree:
@@ -258,6 +264,17 @@ def to_columns(rows: jax.Array) -> jax.Array:
     return with_layout_constraint(rows.reshape(rows.shape[0], -1).T, Layout((0, 1)))
 
 
+def stored(columns: Tree) -> Tree:
+    """A tree of numbers (...) that are read from rows, each as an array of its own.
+
+    Symptom: as for `to_columns`, in a user's jit, where a layout cannot be asked for. Pins that are made of a
+    number that is read with a stride make every loop read it so.
+    Seen with: jax 0.10.2, CPU. Figures: FILL.
+    Test: `make guard` (joints in a jit).
+    """
+    return jax.tree.map(lambda x: divider(x)(x), columns)
+
+
 def to_rows(columns: Sequence[Any], count: int) -> jax.Array:
     """Columns (count,), or numbers, as rows (count, their number); a transpose is a loop of its own."""
     return jnp.stack([jnp.broadcast_to(x, (count,)) for x in columns]).T
@@ -277,8 +294,8 @@ def one_by_one(f: Callable[[Any], Any], rows: Any) -> Any:
     return jax.lax.map(f, rows)
 
 
-def in_blocks(f: Callable[..., jax.Array], batch: tuple[int, ...], rows: Any, block: int) -> jax.Array:
-    """f of rows (*batch, ...), in blocks that fit a CPU's cache, for reverse mode as well.
+def in_blocks(f: Callable[..., Any], batch: tuple[int, ...], rows: Any, block: int) -> Any:
+    """f of a tree of rows (*batch, ...), in blocks that fit a CPU's cache, for reverse mode as well.
 
     Symptom: the intermediate values of a whole batch go through memory, forwards and backwards. Nothing of a
     block but its rows is kept for reverse mode: to compute it again is cheaper than to fetch it. Seen with:
@@ -299,7 +316,11 @@ def in_blocks(f: Callable[..., jax.Array], batch: tuple[int, ...], rows: Any, bl
 
     each = jax.checkpoint(lambda x: f(*x), prevent_cse=False)
     result = jax.lax.map(each, jax.tree.map(cut, rows))
-    return result.reshape(-1, *result.shape[2:])[:count].reshape(*batch, *result.shape[2:])
+
+    def joined(x):
+        return x.reshape(-1, *x.shape[2:])[:count].reshape(*batch, *x.shape[2:])
+
+    return jax.tree.map(joined, result)
 
 
 def not_folded(captured: jax.Array) -> jax.Array:

@@ -24,7 +24,7 @@ import jax.numpy as jnp
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import reach
 from ikjax.core.pose import Pose, clean
-from ikjax.core.xla import AgreedRoots, divider, hidden, is_traced, pinning, through_one_number
+from ikjax.core.xla import AgreedRoots, divider, hidden, is_traced, pinning, stored, through_one_number
 from ikjax.ik.results import Solutions
 from ikjax.solvers.families import FAMILIES
 from ikjax.solvers.pipeline import Slot, solve_scalars
@@ -101,12 +101,15 @@ def jit_with_arm(f: Callable[..., Any]) -> Callable[..., Any]:
 
 def solve_inline(
     arm: Arm, goals: jax.Array, q_now: jax.Array | None, pose_tolerance: float | None
-) -> Solutions:
-    """`Solutions` of goals (..., 4, 4) as a plain elementwise graph, without derivatives."""
-    entries, policy = entries_of(goals), divider(goals[..., 0, 3])
+) -> tuple[Solutions, tuple[Slot, ...]]:
+    """`Solutions` of goals (..., 4, 4) as a plain elementwise graph, without derivatives, and their slots."""
+    entries = entries_of(goals)
+    columns = stored(entries)
+    policy = divider(columns[0][3])
     if not is_small(arm):
         with pinning(policy):
-            return gathered(slots_of(arm, entries, q_now, pose_tolerance), goals.shape[:-2])
+            slots = slots_of(arm, columns, q_now, pose_tolerance)
+        return gathered(slots, goals.shape[:-2]), slots
     roots = AgreedRoots(policy)
     hidden_entries = hidden(entries, goals[..., 0, 3])
     with pinning(None), roots.recorded():
@@ -114,10 +117,10 @@ def solve_inline(
     with pinning(None), roots.replayed():
         unpinned = slots_of(arm, entries, q_now, pose_tolerance)
     with pinning(policy), roots.replayed():
-        pinned = slots_of(arm, entries, q_now, pose_tolerance)
+        pinned = slots_of(arm, columns, q_now, pose_tolerance)
     flags = {name: [getattr(slot, name) for slot in unpinned] for name in ("valid", "continuum")}
-    masks = {name: _mask(values, goals) for name, values in flags.items()}
-    return gathered(pinned, goals.shape[:-2], **masks)
+    masks = {name: mask_of(values, goals[..., 0, 3]) for name, values in flags.items()}
+    return gathered(pinned, goals.shape[:-2], **masks), pinned
 
 
 def gathered(slots: tuple[Slot, ...], shape: tuple[int, ...], **instead: jax.Array) -> Solutions:
@@ -131,8 +134,18 @@ def gathered(slots: tuple[Slot, ...], shape: tuple[int, ...], **instead: jax.Arr
     return Solutions(q=q, is_pose=jnp.broadcast_to(slots[0].is_pose, shape), **rest, **instead)
 
 
-def _mask(flags: list[jax.Array], goals: jax.Array) -> jax.Array:
+def slots_as_array(slots: list[list[Any]]) -> jax.Array:
+    """S lists of n numbers (...) as q (..., S, n)."""
+    return jnp.stack([jnp.stack(slot, axis=-1) for slot in slots], axis=-2)
+
+
+def joints_of(q: jax.Array) -> list[list[jax.Array]]:
+    """The joints of q (..., S, n) as S lists of n numbers (...)."""
+    return [[q[..., s, i] for i in range(q.shape[-1])] for s in range(q.shape[-2])]
+
+
+def mask_of(flags: list[jax.Array], like: jax.Array) -> jax.Array:
     """S flags (...) as one array (..., S), read from the bits of one number for each goal."""
-    code = through_one_number(flags, goals, goals.shape[:-2], divider(goals[..., 0, 3]))
-    places = jnp.arange(len(flags), dtype=jnp.int32).reshape((1,) * (goals.ndim - 2) + (-1,))
+    code = through_one_number(flags, like, like.shape, divider(like))
+    places = jnp.arange(len(flags), dtype=jnp.int32).reshape((1,) * like.ndim + (-1,))
     return (code[..., None] >> places & 1) == 1

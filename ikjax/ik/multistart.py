@@ -109,7 +109,7 @@ class _StartsAtLimitsBlock:
 
     def __call__(self, arm: Arm, goals: jax.Array) -> jax.Array:
         rows = _starts_at_limits(arm, batched.entries_in(goals))
-        return to_rows([x for row in rows for x in row], batched.BLOCK).reshape(-1, len(rows), arm.n)
+        return to_rows([x for row in rows for x in row], goals.shape[0]).reshape(-1, len(rows), arm.n)
 
 
 def _starts_at_limits(arm: Arm, entries: Entries) -> list[tuple[jax.Array, ...]]:
@@ -277,8 +277,8 @@ class _DescentBlock:
 
         ends = one_by_one(descend_one, (starts, damping))
         count = ends.cost.shape[0]
-        fields = {name: to_rows(list(getattr(ends, name)), batched.BLOCK) for name in (*FIELDS, "damping")}
-        q = to_rows([x[s] for s in range(count) for x in ends.q], batched.BLOCK)
+        fields = {name: to_rows(list(getattr(ends, name)), goals.shape[0]) for name in (*FIELDS, "damping")}
+        q = to_rows([x[s] for s in range(count) for x in ends.q], goals.shape[0])
         return {**fields, "q": q.reshape(-1, count, arm.n)}
 
 
@@ -290,8 +290,8 @@ class _ClosedFormBlock:
         goals, length = rows
         entries = batched.entries_in(goals)
         slots = closed_form(arm, entries, length[:, 0])
-        fields = {name: to_rows([getattr(slot, name) for slot in slots], batched.BLOCK) for name in FIELDS}
-        q = to_rows([x for slot in slots for x in slot.q], batched.BLOCK)
+        fields = {name: to_rows([getattr(slot, name) for slot in slots], goals.shape[0]) for name in FIELDS}
+        q = to_rows([x for slot in slots for x in slot.q], goals.shape[0])
         return {**fields, "q": q.reshape(-1, len(slots), arm.n)}
 
 

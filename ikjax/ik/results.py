@@ -1,9 +1,27 @@
 """Results: `Solutions` of `solve`, `Projection` of `project` and `refine`, `Trajectory` of `track`."""
 
 import dataclasses
+from collections.abc import Callable
+from typing import NamedTuple
 
 import jax
 import numpy as np
+
+
+class Origin(NamedTuple):
+    """Joints before they are put into an array, and before their derivatives.
+
+    Where the choice of a slot is made in the trace of `solve`, it is made among these numbers: the array of
+    all slots is never stored, and only the chosen slot is differentiated.
+    """
+
+    slots: list[list[jax.Array]]
+    """S lists of n numbers (...): the joints as in `Solutions.q`, without derivatives."""
+    valid: jax.Array
+    """(..., S): which slots reach their goal. The others have zero derivatives."""
+    differentiable: Callable[[jax.Array, jax.Array], jax.Array]
+    """From joints (..., n) that stand in a slot, and whether that slot reaches its goal, (...), to the same
+    joints with their derivatives."""
 
 
 @jax.tree_util.register_dataclass
@@ -33,6 +51,16 @@ class Solutions:
     is_pose: jax.Array | None = None
     """(...) bool: the goal was a pose: finite numbers, a bottom row (0, 0, 0, 1), and a rotation to 1e-5.
     Where not, nothing was solved. None, in solutions made by hand, counts as True for all goals."""
+
+    @property
+    def origin(self) -> "Origin | None":
+        """What `q` is made of; known only in the trace of the `solve` that made it."""
+        return self.__dict__.get("_origin")
+
+    def with_origin(self, origin: "Origin") -> "Solutions":
+        """The same solutions, with their origin. It is no leaf, so it does not leave the trace."""
+        object.__setattr__(self, "_origin", origin)
+        return self
 
     def require(self) -> "Solutions":
         """These solutions, if every goal has a valid one.

@@ -15,14 +15,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from ikjax.arm.arm import Arm
+from ikjax.arm.arm import Arm, once_for_each_arm
 from ikjax.core.warn import MOST_TURNS, warn_of_degrees
-from ikjax.core.xla import as_array, is_traced, not_folded, stop_gradient
+from ikjax.core.xla import as_array, divider, is_traced, not_folded, stop_gradient
 from ikjax.ik import batched
 from ikjax.ik.inline import solve_inline
 from ikjax.ik.refusal import refusal
-from ikjax.ik.results import Solutions
-from ikjax.ik.solve_gradient import with_derivatives
+from ikjax.ik.results import Origin, Solutions
+from ikjax.ik.solve_gradient import DerivativeRule
 from ikjax.solvers.pipeline import as_solved
 
 
@@ -58,27 +58,28 @@ def solve(
     """
     check_family(arm)
     goals = as_goals(goals)
-    arm = as_solved(arm.baked().astype(goals.dtype))
+    arm = _in_type(arm, goals.dtype)
     fallback = None if q_now is None else _as_fallback(arm, goals, q_now)
     if not is_traced((arm, goals, fallback)):
-        return _solve(arm, goals, fallback, pose_tolerance)
+        return batched.solve_eagerly(arm, goals, fallback, pose_tolerance)
     if not is_traced(goals):
         goals = not_folded(goals)
-    sol = _solve(*stop_gradient((arm, goals, fallback)), pose_tolerance)
-    q, margin = with_derivatives(arm, goals, sol.q, sol.valid, sol.margin, damping)
-    return dataclasses.replace(sol, q=q, margin=margin)
+    # Those of the arm's numbers that are not traced become constants of the caller's jit.
+    sol, slots = solve_inline(*stop_gradient((arm, goals, fallback)), pose_tolerance)
+    rule = DerivativeRule.of(arm, goals, damping)
+    differentiable = dataclasses.replace(
+        sol, q=rule.joints(sol.q, sol.valid), margin=rule.margins(sol.margin)
+    )
+    # Each number is read by several loops of whoever chooses among the slots.
+    pin, shape = divider(goals[..., 0, 3]), goals.shape[:-2]
+    numbers = [[pin(jnp.broadcast_to(x, shape)) for x in slot.q] for slot in slots]
+    return differentiable.with_origin(Origin(numbers, sol.valid, rule.chosen_joints))
 
 
-def _solve(arm: Arm, goals: jax.Array, q_now: jax.Array | None, pose_tolerance: float | None) -> Solutions:
-    """`Solutions` without derivatives."""
-    if is_traced((arm, goals, q_now)):
-        # Those of the arm's numbers that are not traced become constants of the caller's jit.
-        return solve_inline(arm, goals, q_now, pose_tolerance)
-    batch = goals.shape[:-2]
-    flat = goals.reshape(-1, 4, 4)
-    flat_q = None if q_now is None else q_now.reshape(-1, arm.n)
-    sol = batched.solve_blocks(arm, flat, flat_q, pose_tolerance)
-    return jax.tree.map(lambda x: x.reshape(*batch, *x.shape[1:]), sol)
+@once_for_each_arm
+def _in_type(arm: Arm, dtype) -> Arm:
+    """The arm that is solved for goals of a type, with constants for leaves where they are not traced."""
+    return as_solved(arm.baked().astype(dtype))
 
 
 def _as_fallback(arm: Arm, goals: jax.Array, q_now: ArrayLike) -> jax.Array:
@@ -136,7 +137,7 @@ def as_goals(goals) -> jax.Array:
     if goals.dtype == np.float64 and jnp.result_type(float) == jnp.float32:
         _warn_once_that_x64_is_off()
         goals = np.asarray(goals, np.float32)
-    return jnp.asarray(goals)
+    return goals if isinstance(goals, jax.Array) else jnp.asarray(goals)
 
 
 @functools.cache

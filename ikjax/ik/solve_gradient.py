@@ -15,6 +15,7 @@ Hanafusa (1986).
 """
 
 import functools
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -28,8 +29,8 @@ from ikjax.core import pose as poses
 from ikjax.core.linear import dot, solve_symmetric
 from ikjax.core.tolerances import GRADIENT_DAMPING
 from ikjax.core.trig import Scalar
-from ikjax.core.xla import divider, in_blocks, opaque_one, pinning
-from ikjax.ik.inline import entries_of, slots_of
+from ikjax.core.xla import divider, in_blocks, opaque_one, pinning, stored
+from ikjax.ik.inline import Entries, entries_of, slots_of
 
 BLOCK = 4096
 """Goals whose derivatives are computed at a time."""
@@ -38,33 +39,35 @@ Known = tuple
 """The leaves of an arm that are not traced; see `Arm.split`."""
 
 
-def with_derivatives(
-    arm: Arm,
-    goals: jax.Array,
-    q: jax.Array,
-    valid: jax.Array,
-    margin: jax.Array,
-    damping: float | None,
-) -> tuple[jax.Array, jax.Array]:
-    """Joints and margins as they are, with their derivatives in the arm and the goals.
+class DerivativeRule(NamedTuple):
+    """Gives joints and margins their derivatives in the arm and the goals; the values stay as they are."""
 
-    Args:
-        arm: Its leaves may be traced.
-        goals: T_world_tool, (..., 4, 4).
-        q, valid, margin: The fields of `Solutions`, (..., S, n) and (..., S), without derivatives.
-        damping: Of the pseudo-inverse; None is `GRADIENT_DAMPING` square roots of the rounding.
+    known: Known
+    leaves: list
+    """Of the arm, those that are traced."""
+    goals: jax.Array
+    """T_world_tool, (..., 4, 4)."""
+    damping: float
+    """Of the pseudo-inverse."""
 
-    Returns:
-        q and margin.
-    """
-    if damping is None:
-        damping = GRADIENT_DAMPING * float(jnp.finfo(q.dtype).eps) ** 0.5
-    known, leaves = arm.split(whole=True)
+    @staticmethod
+    def of(arm: Arm, goals: jax.Array, damping: float | None) -> "DerivativeRule":
+        """The rule for an arm, whose leaves may be traced; see `solve` for the damping."""
+        if damping is None:
+            damping = GRADIENT_DAMPING * float(jnp.finfo(goals.dtype).eps) ** 0.5
+        return DerivativeRule(*arm.split(whole=True), goals, damping)
 
-    return (
-        _joints(known, damping, leaves, goals, q, valid),
-        _margins(known, leaves, goals, margin),
-    )
+    def joints(self, q: jax.Array, valid: jax.Array) -> jax.Array:
+        """Joints (..., S, n) of slots that reach their goals, or not, (..., S)."""
+        return _joints(self.known, self.damping, self.leaves, self.goals, q, valid)
+
+    def chosen_joints(self, q: jax.Array, valid: jax.Array) -> jax.Array:
+        """Joints (..., n) of one slot for each goal, which reaches it or not, (...)."""
+        return self.joints(q[..., None, :], valid[..., None])[..., 0, :]
+
+    def margins(self, margin: jax.Array) -> jax.Array:
+        """Margins (..., S)."""
+        return _margins(self.known, self.leaves, self.goals, margin)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
@@ -81,15 +84,20 @@ def _joints_jvp(known: Known, damping: float, primals, tangents):
     arm_is_fixed = all(isinstance(rate, SymbolicZero) for rate in tangents[0])
     leaf_rates = [np.zeros(x.shape, x.dtype) if isinstance(x, SymbolicZero) else x for x in tangents[0]]
 
-    def motion(goal_rates, q, valid):
-        if arm_is_fixed and goal_rates is None:
-            return jnp.zeros_like(q)
+    goals_are_fixed = isinstance(tangents[1], SymbolicZero)
+    if arm_is_fixed and goals_are_fixed:
+        return q, jnp.zeros_like(q)
+
+    def motion(goal_rates, joints, valid):
         arm = Arm.join(known, leaves)
         arm_rates = None if arm_is_fixed else _arm_of_rates(known, leaf_rates)
-        return _joint_rates(arm, arm_rates, goal_rates, q, valid, damping)
+        return _joint_rates(arm, arm_rates, goal_rates, joints, valid, damping)
 
-    goal_rates = None if isinstance(tangents[1], SymbolicZero) else tangents[1]
-    return q, in_blocks(motion, valid.shape[:-1], (goal_rates, q, valid), BLOCK)
+    # Numbers and not rows: each is then one contiguous array of a block, forwards and backwards.
+    goal_rates = None if goals_are_fixed else tuple(row[:4] for row in entries_of(tangents[1])[:3])
+    joints = tuple(q[..., i] for i in range(q.shape[-1]))
+    rates = in_blocks(motion, valid.shape[:-1], (goal_rates, joints, valid), BLOCK)
+    return q, jnp.stack(rates, axis=-1)
 
 
 _joints.defjvp(_joints_jvp, symbolic_zeros=True)
@@ -127,41 +135,40 @@ def _margins_jvp(known: Known, primals, tangents):
 def _joint_rates(
     arm: Arm,
     arm_rates: Arm | None,
-    goal_rates: jax.Array | None,
-    q: jax.Array,
+    goal_rates: Entries | None,
+    joints: tuple[jax.Array, ...],
     valid: jax.Array,
     damping: float,
-) -> jax.Array:
-    """Rates of the joints (..., S, n) for rates of the goals and of the arm's numbers.
+) -> tuple[jax.Array, ...]:
+    """Rates of the n joints, each (..., S), for rates of the goals and of the arm's numbers.
 
     Inside, slots are the first axis, so that each number is one array (S, ...).
 
     Args:
         arm: The arm.
         arm_rates: An arm whose leaves are rates; None for zero.
-        goal_rates: (..., 4, 4); None for zero.
-        q: (..., S, n).
+        goal_rates: The first three rows, each number (...); None for zero.
+        joints: n arrays (..., S).
         valid: (..., S); elsewhere the rates are zero.
         damping: Of the pseudo-inverse.
     """
-    count = q.shape[-2]
 
     def slots_first(x):
-        return jnp.stack([x[..., s] for s in range(count)])
+        return jnp.moveaxis(x, -1, 0)
 
+    joints = tuple(stored(slots_first(x)) for x in joints)
     # Of the whole shape: XLA turns a division by a number that is broadcast into a multiplication.
-    one = opaque_one(slots_first(q[..., 0]))
+    one = opaque_one(joints[0])
 
     def divide(x: Scalar) -> Scalar:
         return x if not isinstance(x, jax.Array) else x / one
 
-    joints = tuple(slots_first(q[..., i]) for i in range(arm.n))
     with pinning(divide):
         kinematics = chain(arm, joints)
     reached = poses.compose(kinematics.last, fixed_pose(arm.tool))
     twist = twists.ZERO
     if goal_rates is not None:
-        rows = tuple(tuple(x[None] for x in row) for row in entries_of(goal_rates)[:3])
+        rows = tuple(tuple(x[None] for x in row) for row in goal_rates)
         # The reached rotation and not the goal's, which may be anything where no slot is valid.
         angular = twists.angular_velocity(reached.rotation, tuple(row[:3] for row in rows))
         twist = twists.Twist(tuple(row[3] for row in rows), angular)
@@ -194,4 +201,4 @@ def _joint_rates(
         lambda x: [dot(row, x) for row in matrix], right, solve, symmetric=True
     )
     rates = [jnp.where(invalid, 0, unit * step) for unit, step in zip(units, steps, strict=True)]
-    return jnp.stack([jnp.moveaxis(jnp.broadcast_to(x, invalid.shape), 0, -1) for x in rates], axis=-1)
+    return tuple(jnp.moveaxis(jnp.broadcast_to(x, invalid.shape), 0, -1) for x in rates)
