@@ -386,6 +386,11 @@ class Arm:
             leaves.append(leaf.reshape(shape))
         return jax.tree.unflatten(treedef, leaves)
 
+    @property
+    def is_joined(self) -> bool:
+        """Whether it comes from `join` with leaves of which some entries are known and others not."""
+        return any(getattr(leaf, "dtype", None) == np.dtype(object) for leaf in jax.tree.leaves(self))
+
     def __str__(self) -> str:
         return printing.paste(self)
 

@@ -138,7 +138,10 @@ def sampling_ranges(arm: Arm) -> tuple[jax.Array, jax.Array]:
     Between two limits the whole range; of a joint whose whole turn leaves the pose, one turn in the middle of
     it. From a single limit one turn, or two reaches for a slide; without limits as much, about zero.
     """
-    low, high = (jnp.asarray(arm.limits)[:, k] for k in (0, 1))
+    low, high = (
+        jnp.stack([jnp.asarray(limit, arm.dtype) for limit in ends])
+        for ends in zip(*bounds(arm), strict=True)
+    )
     size = jnp.asarray(reach(arm), arm.dtype)
     size = jnp.where(size > 0, size, 1)  # of slides alone, whose table has no lengths
     half = jnp.stack([jnp.asarray(np.pi, arm.dtype) if kind == "R" else size for kind in arm.kinds])
@@ -214,6 +217,9 @@ def descend_all(
         jnp.stack([starts_last(x) for x in joints], axis=-1) for joints in (ends.q, ends.minimizer)
     )
     fields = {name: starts_last(getattr(ends, name)) for name in FIELDS}
+    if arm.is_joined:
+        # In the program of an eager call, which has no derivatives.
+        return Projection(q=q, **fields)
     q, errors = with_derivatives(arm, goals, q, minimizer, length, fields["converged"], priority)
     return Projection(q=q, **{**fields, **errors})
 
