@@ -12,7 +12,7 @@ import functools
 import math
 import os
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
@@ -35,15 +35,18 @@ from ikjax.core.xla import as_array, constants, is_traced
 Number = jax.Array | np.ndarray
 
 
-def once_for_each_arm(f: Callable) -> Callable:
+Function = TypeVar("Function", bound=Callable)
+
+
+def once_for_each_arm(f: Function) -> Function:
     """f(arm, *arguments), hashable ones, computed once for each arm of constants and then remembered."""
     remembered = functools.lru_cache(maxsize=128)(f)
 
     @functools.wraps(f)
-    def call(arm: "Arm", *arguments):
-        return (remembered if arm._is_constant else f)(arm, *arguments)
+    def call(arm: "Arm", *arguments, **named):
+        return (remembered if arm._is_constant else f)(arm, *arguments, **named)
 
-    return call
+    return cast(Function, call)
 
 
 @functools.lru_cache(maxsize=1024)
@@ -332,6 +335,7 @@ class Arm:
         """
         return constants(self)
 
+    @once_for_each_arm
     def split(self, whole: bool = False) -> tuple[tuple, list]:
         """The arm in two parts: what a program is compiled for, and the numbers that it is called with.
 

@@ -25,7 +25,7 @@ import numpy as np
 from ikjax.arm.arm import Arm, once_for_each_arm
 from ikjax.core import cores
 from ikjax.core.xla import constant, divider, pinning, to_columns, to_rows, wide_vectors
-from ikjax.ik.inline import FIELDS, Entries, slots_of
+from ikjax.ik.inline import FIELDS, Entries, parts, slots_of
 from ikjax.ik.results import Solutions
 
 BLOCK, BLOCKS = 4096, 4
@@ -56,13 +56,6 @@ def without_limits(arm: Arm) -> Arm:
     return dataclasses.replace(arm, limits=constant(np.zeros((arm.n, 2), arm.dtype)))
 
 
-@once_for_each_arm
-def _parts(arm: Arm) -> tuple[tuple, list[jax.Array]]:
-    """The parts of `Arm.split`, the second one where the computation is."""
-    known, rest = arm.split()
-    return known, [jnp.asarray(leaf) for leaf in rest]
-
-
 def map_rows(block: Callable[..., Any], arm: Arm, inputs, batch: tuple[int, ...]):
     """`map_blocks` of inputs (*batch, ...), which gives its result the same batch axes; fast for few rows."""
     count = math.prod(batch)
@@ -73,7 +66,7 @@ def map_rows(block: Callable[..., Any], arm: Arm, inputs, batch: tuple[int, ...]
     if count > FEW or count == 0:
         result = map_blocks(block, arm, jax.tree.map(rows, inputs))
         return jax.tree.map(lambda x: x.reshape(*batch, *x.shape[1:]), result)
-    known, rest = _parts(arm)
+    known, rest = parts(arm)
     # In numpy, because each call of jax costs as much as the whole program of one goal.
     inputs = jax.tree.map(lambda x: rows(np.asarray(x)), inputs)
     if count == 1:
@@ -107,7 +100,7 @@ def map_blocks(block: Callable[..., Any], arm: Arm, inputs):
         The rows of all blocks, a tree of arrays (N, ...).
     """
     count = jax.tree.leaves(inputs)[0].shape[0]
-    known, rest = _parts(arm)
+    known, rest = parts(arm)
     inputs = jax.tree.map(_padded, inputs)
     leaves, form = jax.tree.flatten((rest, _cut(inputs, 0, PIECE)))
     kernel = _compiled(block, known, form, tuple((x.shape, x.dtype.name) for x in leaves))

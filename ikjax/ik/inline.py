@@ -21,7 +21,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from ikjax.arm.arm import Arm
+from ikjax.arm.arm import Arm, once_for_each_arm
 from ikjax.arm.forward import reach
 from ikjax.core.pose import Pose, clean
 from ikjax.core.xla import AgreedRoots, divider, hidden, is_traced, pinning, stored, through_one_number
@@ -79,6 +79,13 @@ def is_small(arm: Arm) -> bool:
     return FAMILIES[str(arm.family)].small and arm.correction is None and not is_traced(arm)
 
 
+@once_for_each_arm
+def parts(arm: Arm) -> tuple[tuple, list[jax.Array]]:
+    """The parts of `Arm.split` of an arm of constants, the second one where the computation is."""
+    known, rest = arm.split()
+    return known, [jnp.asarray(leaf) for leaf in rest]
+
+
 def jit_with_arm(f: Callable[..., Any]) -> Callable[..., Any]:
     """`jax.jit` of f(arm, *arrays) in which those of the arm's numbers that are known stay known.
 
@@ -94,7 +101,8 @@ def jit_with_arm(f: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(f)
     def call(arm: Arm, *arrays):
-        return of_known(*arm.split(whole=is_traced((arm, arrays))), *arrays)
+        traced = is_traced((arm, arrays))
+        return of_known(*(arm.split(whole=True) if traced else parts(arm)), *arrays)
 
     return call
 
