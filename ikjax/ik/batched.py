@@ -37,12 +37,19 @@ AHEAD = 4
 
 
 def solve_blocks(
-    arm: Arm, goals: jax.Array, q_now: jax.Array | None, pose_tolerance: float | None
+    arm: Arm,
+    goals: jax.Array,
+    q_now: jax.Array | None,
+    pose_tolerance: float | None,
+    redundancy: jax.Array | None = None,
 ) -> Solutions:
-    """`Solutions` of goals (N, 4, 4) and q_now (N, n); the bits of a row depend on that row alone."""
+    """`Solutions` of goals (N, 4, 4), q_now (N, n) and redundancy (N, k).
+
+    The bits of a row depend on that row alone.
+    """
     # The limits do not enter the solutions: with zeros, arms that differ in their limits share a program.
     arm = dataclasses.replace(arm, limits=np.zeros((arm.n, 2), arm.dtype))
-    return map_blocks(SolveBlock(pose_tolerance), arm, (goals, q_now))
+    return map_blocks(SolveBlock(pose_tolerance), arm, (goals, q_now, redundancy))
 
 
 def map_blocks(block: Callable[..., Any], arm: Arm, inputs):
@@ -143,15 +150,16 @@ def entries_in(goals: jax.Array) -> Entries:
 
 @dataclasses.dataclass(frozen=True)
 class SolveBlock:
-    """`solve` of one block: its rows are goals (BLOCK, 4, 4), and q_now (BLOCK, n) or None."""
+    """`solve` of one block: its rows are goals (BLOCK, 4, 4), q_now (BLOCK, n) or None, and the values of the
+    redundant joints (BLOCK, k) or None."""
 
     pose_tolerance: float | None
 
     def __call__(self, arm: Arm, rows) -> Solutions:
-        goals, q_now = rows
+        goals, q_now, redundancy = rows
         entries = entries_in(goals)
         with pinning(divider(entries[0][3])):
-            slots = slots_of(arm, entries, q_now, self.pose_tolerance)
+            slots = slots_of(arm, entries, q_now, self.pose_tolerance, redundancy)
         q = to_rows([x for slot in slots for x in slot.q], BLOCK).reshape(BLOCK, len(slots), arm.n)
         rest = {name: to_rows([getattr(slot, name) for slot in slots], BLOCK) for name in FIELDS}
         return Solutions(q=q, is_pose=jnp.broadcast_to(slots[0].is_pose, (BLOCK,)), **rest)

@@ -15,6 +15,7 @@ is too large for one fused loop is traced once, pinned.
 
 import functools
 import math
+import operator
 from collections.abc import Callable
 from typing import Any
 
@@ -43,7 +44,11 @@ def entries_of(goals: jax.Array) -> Entries:
 
 
 def slots_of(
-    arm: Arm, entries: Entries, q_now: jax.Array | None, pose_tolerance: float | None
+    arm: Arm,
+    entries: Entries,
+    q_now: jax.Array | None,
+    pose_tolerance: float | None,
+    redundancy: jax.Array | None = None,
 ) -> tuple[Slot, ...]:
     """Every slot of every goal, measured by forward kinematics; each field is one array (...).
 
@@ -52,13 +57,19 @@ def slots_of(
         entries: The goals' numbers.
         q_now: (..., n) joint values for joints that are arbitrary; zero where it is None.
         pose_tolerance: See `solve`.
+        redundancy: (..., k) values of the joints in `Arm.locked`; None where there are none.
     """
     rotation, position = tuple(row[:3] for row in entries[:3]), tuple(row[3] for row in entries[:3])
     goal, proper = clean(Pose(rotation, position), reach(arm))
     for entry, wanted in zip(entries[3], (0, 0, 0, 1), strict=True):
         proper &= entry == wanted
     fallback = None if q_now is None else tuple(q_now[..., i] for i in range(arm.n))
-    slots = solve_scalars(arm, goal, fallback, pose_tolerance)
+    free: tuple[jax.Array, ...] = ()
+    if redundancy is not None:
+        given = tuple(redundancy[..., j] for j in range(len(arm.locked)))
+        finite = functools.reduce(operator.and_, map(jnp.isfinite, given))
+        free = tuple(jnp.where(finite, value, 0) for value in given)
+    slots = solve_scalars(arm, goal, fallback, pose_tolerance, free)
     # A goal that is no pose gets the largest errors, without derivatives.
     size = jax.lax.stop_gradient(jnp.asarray(reach(arm), entries[0][3].dtype))
 
@@ -72,12 +83,26 @@ def slots_of(
             is_pose=proper,
         )
 
-    return tuple(map(masked, slots))
+    slots = tuple(map(masked, slots))
+    if not free:
+        return slots
+    return tuple(
+        slot._replace(
+            valid=slot.valid & finite,
+            margin=jnp.where(finite, slot.margin, -size),
+            continuum=slot.continuum & finite,
+        )
+        for slot in slots
+    )
 
 
 def is_small(arm: Arm) -> bool:
-    """Whether the arm's kernel can be one fused loop. It cannot where the arm's zeros and ones are traced."""
-    return FAMILIES[str(arm.family)].small and arm.correction is None and not is_traced(arm)
+    """Whether the arm's kernel can be one fused loop.
+
+    It cannot where the arm's zeros and ones are traced, nor where base or tool differ from goal to goal.
+    """
+    small = FAMILIES[str(arm.family)].small and not arm.locked
+    return small and arm.correction is None and not is_traced(arm)
 
 
 def jit_with_arm(f: Callable[..., Any]) -> Callable[..., Any]:
@@ -101,13 +126,18 @@ def jit_with_arm(f: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def solve_inline(
-    arm: Arm, goals: jax.Array, q_now: jax.Array | None, pose_tolerance: float | None
+    arm: Arm,
+    goals: jax.Array,
+    q_now: jax.Array | None,
+    pose_tolerance: float | None,
+    redundancy: jax.Array | None = None,
 ) -> Solutions:
     """`Solutions` of goals (..., 4, 4) as a plain elementwise graph, without derivatives."""
     entries, policy = entries_of(goals), divider(goals[..., 0, 3])
     if not is_small(arm):
         with pinning(policy):
-            return gathered(slots_of(arm, entries, q_now, pose_tolerance), goals.shape[:-2])
+            slots = slots_of(arm, entries, q_now, pose_tolerance, redundancy)
+            return gathered(slots, goals.shape[:-2])
     roots = AgreedRoots(policy)
     hidden_entries = hidden(entries, goals[..., 0, 3])
     with pinning(None), roots.recorded():

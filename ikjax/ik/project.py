@@ -85,12 +85,17 @@ def project(
 def _extra_starts(arm: Arm, goals: jax.Array, steps: int, count: int | None, priority: str) -> jax.Array:
     """The starts beside the branches, (..., S, n)."""
     if count is None:
-        astray = arm.family is not None and steps > 0 and _branches_may_miss(arm)
+        astray = _has_branches(arm) and steps > 0 and _branches_may_miss(arm)
         if astray and priority == "weighted" and FAMILIES[str(arm.family)].locked:
             return starts_at_limits(arm, goals)
-        many = SCATTERED if arm.family is None or priority != "weighted" else EXTRA
-        count = many if astray or arm.family is None else 0
+        many = EXTRA if _has_branches(arm) and priority == "weighted" else SCATTERED
+        count = many if astray or not _has_branches(arm) else 0
     return scattered_starts(arm, goals.shape[:-2], count)
+
+
+def _has_branches(arm: Arm) -> bool:
+    """Whether the closed form has starts for a goal alone; with redundant joints it wants their values."""
+    return arm.family is not None and not arm.locked
 
 
 def _branches_may_miss(arm: Arm) -> bool:
@@ -104,7 +109,7 @@ def _descend(
     arm: Arm, goals: jax.Array, characteristic_length, steps: int, extra: jax.Array, priority: str
 ) -> Projection:
     """All branches and the extra starts after their descent, fields (..., S)."""
-    if arm.family is None:
+    if not _has_branches(arm):
         return descend_all(arm, goals, extra, characteristic_length, steps, priority)
     if priority != "weighted" and steps:
         # The closed form once for all priorities, and all starts in one program.

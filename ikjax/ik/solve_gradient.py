@@ -45,14 +45,16 @@ def with_derivatives(
     valid: jax.Array,
     margin: jax.Array,
     damping: float | None,
+    free: jax.Array | None = None,
 ) -> tuple[jax.Array, jax.Array]:
-    """Joints and margins as they are, with their derivatives in the arm and the goals.
+    """Joints and margins as they are, with their derivatives in the arm, the goals and the redundant joints.
 
     Args:
         arm: Its leaves may be traced.
         goals: T_world_tool, (..., 4, 4).
         q, valid, margin: The fields of `Solutions`, (..., S, n) and (..., S), without derivatives.
         damping: Of the pseudo-inverse; None is `GRADIENT_DAMPING` square roots of the rounding.
+        free: Values of the joints in `Arm.locked`, (..., k); None where there are none.
 
     Returns:
         q and margin.
@@ -62,34 +64,34 @@ def with_derivatives(
     known, leaves = arm.split(whole=True)
 
     return (
-        _joints(known, damping, leaves, goals, q, valid),
-        _margins(known, leaves, goals, margin),
+        _joints(known, damping, leaves, goals, free, q, valid),
+        _margins(known, leaves, goals, free, margin),
     )
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
-def _joints(known: Known, damping: float, leaves: list, goals, q, valid):
+def _joints(known: Known, damping: float, leaves: list, goals, free, q, valid):
     """The joints q as they are; their derivatives are those of `_joints_jvp`."""
     return q
 
 
 def _joints_jvp(known: Known, damping: float, primals, tangents):
-    leaves, goals, q, valid = primals
+    leaves, goals, free, q, valid = primals
     # Applied again, so that q has derivatives in derivatives of second order.
-    q = _joints(known, damping, leaves, goals, q, valid)
+    q = _joints(known, damping, leaves, goals, free, q, valid)
     # Where no number of the arm changes, nothing is computed for the arm.
     arm_is_fixed = all(isinstance(rate, SymbolicZero) for rate in tangents[0])
     leaf_rates = [np.zeros(x.shape, x.dtype) if isinstance(x, SymbolicZero) else x for x in tangents[0]]
 
-    def motion(goal_rates, q, valid):
-        if arm_is_fixed and goal_rates is None:
+    def motion(goal_rates, free_rates, q, valid):
+        if arm_is_fixed and goal_rates is None and free_rates is None:
             return jnp.zeros_like(q)
         arm = Arm.join(known, leaves)
         arm_rates = None if arm_is_fixed else _arm_of_rates(known, leaf_rates)
-        return _joint_rates(arm, arm_rates, goal_rates, q, valid, damping)
+        return _joint_rates(arm, arm_rates, goal_rates, free_rates, q, valid, damping)
 
-    goal_rates = None if isinstance(tangents[1], SymbolicZero) else tangents[1]
-    return q, in_blocks(motion, valid.shape[:-1], (goal_rates, q, valid), BLOCK)
+    goal_rates, free_rates = (None if isinstance(x, SymbolicZero) else x for x in tangents[1:3])
+    return q, in_blocks(motion, valid.shape[:-1], (goal_rates, free_rates, q, valid), BLOCK)
 
 
 _joints.defjvp(_joints_jvp, symbolic_zeros=True)
@@ -106,28 +108,29 @@ def _arm_of_rates(known: Known, leaf_rates: list) -> Arm:
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _margins(known: Known, leaves: list, goals, margin):
+def _margins(known: Known, leaves: list, goals, free, margin):
     """The margins as they are; their derivatives are those of the rule below."""
     return margin
 
 
 @_margins.defjvp
 def _margins_jvp(known: Known, primals, tangents):
-    leaves, goals, margin = primals
+    leaves, goals, free, margin = primals
 
-    def computed(leaves, goals):
+    def computed(leaves, goals, free):
         with pinning(divider(goals[..., 0, 3])):
-            slots = slots_of(Arm.join(known, leaves), entries_of(goals), None, None)
+            slots = slots_of(Arm.join(known, leaves), entries_of(goals), None, None, free)
         return jnp.stack([jnp.broadcast_to(s.margin, goals.shape[:-2]) for s in slots], axis=-1)
 
-    _, rate = jax.jvp(computed, (leaves, goals), tangents[:2])
-    return _margins(known, leaves, goals, margin), rate
+    _, rate = jax.jvp(computed, (leaves, goals, free), tangents[:3])
+    return _margins(known, leaves, goals, free, margin), rate
 
 
 def _joint_rates(
     arm: Arm,
     arm_rates: Arm | None,
     goal_rates: jax.Array | None,
+    free_rates: jax.Array | None,
     q: jax.Array,
     valid: jax.Array,
     damping: float,
@@ -140,6 +143,7 @@ def _joint_rates(
         arm: The arm.
         arm_rates: An arm whose leaves are rates; None for zero.
         goal_rates: (..., 4, 4); None for zero.
+        free_rates: (..., k) of the joints in `Arm.locked`; None for zero.
         q: (..., S, n).
         valid: (..., S); elsewhere the rates are zero.
         damping: Of the pseudo-inverse.
@@ -168,16 +172,25 @@ def _joint_rates(
     if arm_rates is not None:
         arm_twist = twists.parameter_twist(arm, arm_rates, joints, kinematics, reached.position)
         twist = twist.plus(arm_twist.times(-1.0))
+    # Joints that are locked move as they are told to; the others make up for it.
+    given: list[Scalar] = [0.0] * len(arm.locked)
+    if free_rates is not None:
+        given = [free_rates[..., j][None] for j in range(len(arm.locked))]
+        columns_of_q = twists.motor_twists(arm, kinematics, reached.position)
+        for i, rate in zip(arm.locked, given, strict=True):
+            twist = twist.plus(columns_of_q[i].times(-rate))
     size = reach(arm)
     task_rows = twists.task_rows(arm, kinematics, 1 / size)
     wanted = [divide(x) for x in task_rows(twist)]
     # The value of a slide counts in reaches too.
-    units = [size if kind == "P" else 1.0 for kind in arm.kinds]
-    motions = zip(units, twists.motor_twists(arm, kinematics, reached.position), strict=True)
+    units = [size if arm.kinds[i] == "P" else 1.0 for i in arm.solved]
+    solved_twists = twists.motor_twists(arm, kinematics, reached.position)
+    solved_twists = solved_twists[arm.solved.start : arm.solved.stop]
+    motions = zip(units, solved_twists, strict=True)
     columns = [[divide(x) for x in task_rows(motion.times(unit))] for unit, motion in motions]
     # The normal equations of damped least squares, (J^T J + damping^2 I) x = J^T wanted.
     matrix = [[divide(dot(u, v)) for v in columns] for u in columns]
-    for i in range(arm.n):
+    for i in range(len(columns)):
         matrix[i][i] = matrix[i][i] + damping * damping
     invalid = ~slots_first(valid)
     right = [dot(u, wanted) for u in columns]
@@ -194,4 +207,6 @@ def _joint_rates(
         lambda x: [dot(row, x) for row in matrix], right, solve, symmetric=True
     )
     rates = [jnp.where(invalid, 0, unit * step) for unit, step in zip(units, steps, strict=True)]
+    locked = [jnp.where(invalid, 0, rate) for rate in given]
+    rates = [*locked[: arm.solved.start], *rates, *locked[arm.solved.start :]]
     return jnp.stack([jnp.moveaxis(jnp.broadcast_to(x, invalid.shape), 0, -1) for x in rates], axis=-1)
