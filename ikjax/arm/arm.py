@@ -71,7 +71,7 @@ class Arm:
     Of joints that are driven together it is the name of the one that leads.
     """
     locked: tuple[int, ...] = dataclasses.field(default=(), kw_only=True, metadata={"static": True})
-    """The joints beyond the six that a pose asks for, counted from 0, at the ends of the arm. `solve` is given
+    """The joints beyond the six that a pose asks for, counted from 0, at the ends of the arm. `solve` takes
     their values, and the family solves those between. Empty where there are none."""
 
     kinds: str = dataclasses.field(metadata={"static": True})

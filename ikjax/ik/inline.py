@@ -105,11 +105,12 @@ def is_small(arm: Arm) -> bool:
     return small and arm.correction is None and not is_traced(arm)
 
 
-def jit_with_arm(f: Callable[..., Any]) -> Callable[..., Any]:
+def jit_with_arm(f: Callable[..., Any], whole: bool = False) -> Callable[..., Any]:
     """`jax.jit` of f(arm, *arrays) in which those of the arm's numbers that are known stay known.
 
-    Called eagerly, one program serves all arms of the same zeros, ones and twists. Within an outer jit, or
-    under `grad` and `vmap`, all leaves that are not traced are constants of the program.
+    Called eagerly, one program serves all arms of the same zeros, ones and twists; where `whole` is set, one
+    arm. Within an outer jit, or under `grad` and `vmap`, all leaves that are not traced are constants of the
+    program.
     """
 
     @functools.partial(jax.jit, static_argnums=0, inline=True)
@@ -120,7 +121,7 @@ def jit_with_arm(f: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(f)
     def call(arm: Arm, *arrays):
-        return of_known(*arm.split(whole=is_traced((arm, arrays))), *arrays)
+        return of_known(*arm.split(whole=whole or is_traced((arm, arrays))), *arrays)
 
     return call
 

@@ -182,8 +182,8 @@ def check_not_redundant(arm: Arm, what: str) -> None:
     """
     if arm.locked:
         raise ValueError(
-            f"{what} takes no redundant arms yet, and {arm.name} leaves {', '.join(arm.redundant)} free: build "
-            "it with that joint's value in its base or tool"
+            f"{what} takes no redundant arms yet, and {arm.name} leaves {', '.join(arm.redundant)} free: "
+            "build it with that joint's value in its base or tool"
         )
 
 
