@@ -149,7 +149,7 @@ def nearest_on_self_motion(
         samples: Values of the redundant joint, 3 or more.
 
     Returns:
-        `q`, (..., n), within the limits, and whether there is such a posture, (...); without one `q` is q_now.
+        `q`, (..., n), within the limits, and whether there is such a posture, (...); else `q` is q_now.
         There are no derivatives.
 
     Raises:
@@ -194,7 +194,7 @@ def _checked(arm: Arm, goals: ArrayLike, samples: int) -> tuple[jax.Array, Arm]:
 def _sample_values(arm: Arm, samples: int, dtype) -> jax.Array:
     """Values of the redundant joint, (samples,), evenly over its limits.
 
-    Of a turning joint with a range of more than a turn, or without limits, a turn about its middle; of a slide
+    Of a turning joint with a range of more than a turn, or without limits, a turn in its middle; of a slide
     without a limit, two reaches.
     """
     low, high = (jnp.asarray(arm.limits, dtype)[arm.locked[0], k] for k in (0, 1))
