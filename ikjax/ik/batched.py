@@ -44,10 +44,18 @@ AHEAD = 4
 
 
 def solve_eagerly(
-    arm: Arm, goals: jax.Array, q_now: jax.Array | None, pose_tolerance: float | None
+    arm: Arm,
+    goals: jax.Array,
+    q_now: jax.Array | None,
+    pose_tolerance: float | None,
+    redundancy: jax.Array | None,
 ) -> Solutions:
-    """`Solutions` of goals (..., 4, 4) and q_now (..., n); the bits of a row depend on that row alone."""
-    return map_rows(SolveBlock(pose_tolerance), without_limits(arm), (goals, q_now), goals.shape[:-2])
+    """`Solutions` of goals (..., 4, 4), q_now (..., n) and redundancy (..., k).
+
+    The bits of a row depend on that row alone.
+    """
+    inputs = goals, q_now, redundancy
+    return map_rows(SolveBlock(pose_tolerance), without_limits(arm), inputs, goals.shape[:-2])
 
 
 @once_for_each_arm
@@ -184,16 +192,16 @@ def entries_in(goals: jax.Array) -> Entries:
 
 @dataclasses.dataclass(frozen=True)
 class SolveBlock:
-    """`solve` of one block: its rows are goals (N, 4, 4), and q_now (N, n) or None."""
+    """`solve` of one block: its rows are goals (N, 4, 4), q_now (N, n) or None, and redundancy (N, k) or None."""
 
     pose_tolerance: float | None
 
     def __call__(self, arm: Arm, rows) -> Solutions:
-        goals, q_now = rows
+        goals, q_now, redundancy = rows
         count = goals.shape[0]
         entries = entries_in(goals)
         with pinning(divider(entries[0][3])):
-            slots = slots_of(arm, entries, q_now, self.pose_tolerance)
+            slots = slots_of(arm, entries, q_now, self.pose_tolerance, redundancy)
         q = to_rows([x for slot in slots for x in slot.q], count).reshape(count, len(slots), arm.n)
         rest = {name: to_rows([getattr(slot, name) for slot in slots], count) for name in FIELDS}
         return Solutions(q=q, is_pose=jnp.broadcast_to(slots[0].is_pose, (count,)), **rest)

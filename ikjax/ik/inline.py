@@ -15,6 +15,7 @@ is too large for one fused loop is traced once, pinned.
 
 import functools
 import math
+import operator
 from collections.abc import Callable
 from typing import Any
 
@@ -42,7 +43,11 @@ def entries_of(goals: jax.Array) -> Entries:
 
 
 def slots_of(
-    arm: Arm, entries: Entries, q_now: jax.Array | None, pose_tolerance: float | None
+    arm: Arm,
+    entries: Entries,
+    q_now: jax.Array | None,
+    pose_tolerance: float | None,
+    redundancy: jax.Array | None = None,
 ) -> tuple[Slot, ...]:
     """Every slot of every goal, measured by forward kinematics; each field is one array (...).
 
@@ -51,13 +56,19 @@ def slots_of(
         entries: The goals' numbers.
         q_now: (..., n) joint values for joints that are arbitrary; zero where it is None.
         pose_tolerance: See `solve`.
+        redundancy: (..., k) values of the joints in `Arm.locked`; None where there are none.
     """
     rotation, position = tuple(row[:3] for row in entries[:3]), tuple(row[3] for row in entries[:3])
     goal, proper = clean(Pose(rotation, position), reach(arm))
     for entry, wanted in zip(entries[3], (0, 0, 0, 1), strict=True):
         proper &= entry == wanted
     fallback = None if q_now is None else tuple(q_now[..., i] for i in range(arm.n))
-    slots = solve_scalars(arm, goal, fallback, pose_tolerance)
+    free: tuple[jax.Array, ...] = ()
+    if redundancy is not None:
+        given = tuple(redundancy[..., j] for j in range(len(arm.locked)))
+        finite = functools.reduce(operator.and_, map(jnp.isfinite, given))
+        free = tuple(jnp.where(finite, value, 0) for value in given)
+    slots = solve_scalars(arm, goal, fallback, pose_tolerance, free)
     # A goal that is no pose gets the largest errors, without derivatives.
     size = jax.lax.stop_gradient(jnp.asarray(reach(arm), entries[0][3].dtype))
 
@@ -71,12 +82,26 @@ def slots_of(
             is_pose=proper,
         )
 
-    return tuple(map(masked, slots))
+    slots = tuple(map(masked, slots))
+    if not free:
+        return slots
+    return tuple(
+        slot._replace(
+            valid=slot.valid & finite,
+            margin=jnp.where(finite, slot.margin, -size),
+            continuum=slot.continuum & finite,
+        )
+        for slot in slots
+    )
 
 
 def is_small(arm: Arm) -> bool:
-    """Whether the arm's kernel can be one fused loop. It cannot where the arm's zeros and ones are traced."""
-    return FAMILIES[str(arm.family)].small and arm.correction is None and not is_traced(arm)
+    """Whether the arm's kernel can be one fused loop.
+
+    It cannot where the arm's zeros and ones are traced, nor where base or tool differ from goal to goal.
+    """
+    small = FAMILIES[str(arm.family)].small and not arm.locked
+    return small and arm.correction is None and not is_traced(arm)
 
 
 @once_for_each_arm
@@ -86,11 +111,12 @@ def parts(arm: Arm) -> tuple[tuple, list[jax.Array]]:
     return known, [jnp.asarray(leaf) for leaf in rest]
 
 
-def jit_with_arm(f: Callable[..., Any]) -> Callable[..., Any]:
+def jit_with_arm(f: Callable[..., Any], whole: bool = False) -> Callable[..., Any]:
     """`jax.jit` of f(arm, *arrays) in which those of the arm's numbers that are known stay known.
 
-    Called eagerly, one program serves all arms of the same zeros, ones and twists. Within an outer jit, or
-    under `grad` and `vmap`, all leaves that are not traced are constants of the program.
+    Called eagerly, one program serves all arms of the same zeros, ones and twists; where `whole` is set, one
+    arm. Within an outer jit, or under `grad` and `vmap`, all leaves that are not traced are constants of the
+    program.
     """
 
     @functools.partial(jax.jit, static_argnums=0, inline=True)
@@ -101,14 +127,18 @@ def jit_with_arm(f: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(f)
     def call(arm: Arm, *arrays):
-        traced = is_traced((arm, arrays))
-        return of_known(*(arm.split(whole=True) if traced else parts(arm)), *arrays)
+        as_constants = whole or is_traced((arm, arrays))
+        return of_known(*(arm.split(whole=True) if as_constants else parts(arm)), *arrays)
 
     return call
 
 
 def solve_inline(
-    arm: Arm, goals: jax.Array, q_now: jax.Array | None, pose_tolerance: float | None
+    arm: Arm,
+    goals: jax.Array,
+    q_now: jax.Array | None,
+    pose_tolerance: float | None,
+    redundancy: jax.Array | None = None,
 ) -> tuple[Solutions, tuple[Slot, ...]]:
     """`Solutions` of goals (..., 4, 4) as a plain elementwise graph, without derivatives, and their slots."""
     entries = entries_of(goals)
@@ -116,7 +146,7 @@ def solve_inline(
     policy = divider(columns[0][3])
     if not is_small(arm):
         with pinning(policy):
-            slots = slots_of(arm, columns, q_now, pose_tolerance)
+            slots = slots_of(arm, columns, q_now, pose_tolerance, redundancy)
         return gathered(slots, goals.shape[:-2]), slots
     roots = AgreedRoots(policy)
     hidden_entries = hidden(entries, goals[..., 0, 3])

@@ -74,17 +74,18 @@ def checked_arguments(arm: Arm, goals, characteristic_length, steps: int) -> tup
 # The starts.
 
 
-def closed_form_starts(arm: Arm, goal: Pose, policy: Pin) -> Joints:
+def closed_form_starts(arm: Arm, goal: Pose, policy: Pin, free: Joints = ()) -> Joints:
     """The joints of every branch of the closed form, each (S, ...).
 
     Args:
         arm: An arm with a family.
         goal: T_world_tool.
         policy: Pins values that have the shape of the goal's numbers.
+        free: The values of the joints in `Arm.locked`.
     """
     shape = goal.position[0].shape
     with pinning(policy):
-        columns = zip(*proposed(arm, goal), strict=True)
+        columns = zip(*proposed(arm, goal, free), strict=True)
     return tuple(jnp.stack([jnp.broadcast_to(x, shape) for x in column]) for column in columns)
 
 

@@ -123,11 +123,16 @@ def _further_starts(arm: Arm, steps: int, count: int | None, priority: str) -> i
     """How many starts beside the branches are spread over the limits; None for those at the limits."""
     if count is not None:
         return count
-    astray = arm.family is not None and steps > 0 and _branches_may_miss(arm)
+    astray = _has_branches(arm) and steps > 0 and _branches_may_miss(arm)
     if astray and priority == "weighted" and FAMILIES[str(arm.family)].locked:
         return None
-    many = SCATTERED if arm.family is None or priority != "weighted" else EXTRA
-    return many if astray or arm.family is None else 0
+    many = EXTRA if _has_branches(arm) and priority == "weighted" else SCATTERED
+    return many if astray or not _has_branches(arm) else 0
+
+
+def _has_branches(arm: Arm) -> bool:
+    """Whether the closed form has starts for a goal alone; with redundant joints it wants their values."""
+    return arm.family is not None and not arm.locked
 
 
 def _branches_may_miss(arm: Arm) -> bool:
@@ -141,7 +146,7 @@ def _descend(
     arm: Arm, goals: jax.Array, characteristic_length, steps: int, extra: jax.Array, priority: str
 ) -> Projection:
     """All branches and the extra starts after their descent, fields (..., S)."""
-    if arm.family is None:
+    if not _has_branches(arm):
         return descend_all(arm, goals, extra, characteristic_length, steps, priority)
     if steps and (priority != "weighted" or is_traced((arm, goals, extra, characteristic_length))):
         # All starts in one program: two copies of the descent would compile twice as long.

@@ -40,7 +40,10 @@ Known = tuple
 
 
 class DerivativeRule(NamedTuple):
-    """Gives joints and margins their derivatives in the arm and the goals; the values stay as they are."""
+    """Gives joints and margins their derivatives in the arm, the goals and the redundant joints.
+
+    The values stay as they are.
+    """
 
     known: Known
     leaves: list
@@ -49,17 +52,22 @@ class DerivativeRule(NamedTuple):
     """T_world_tool, (..., 4, 4)."""
     damping: float
     """Of the pseudo-inverse."""
+    free: jax.Array | None
+    """Values of the joints in `Arm.locked`, (..., k); None where there are none."""
 
     @staticmethod
-    def of(arm: Arm, goals: jax.Array, damping: float | None) -> "DerivativeRule":
+    def of(
+        arm: Arm, goals: jax.Array, damping: float | None, free: jax.Array | None = None
+    ) -> "DerivativeRule":
         """The rule for an arm, whose leaves may be traced; see `solve` for the damping."""
         if damping is None:
             damping = GRADIENT_DAMPING * float(jnp.finfo(goals.dtype).eps) ** 0.5
-        return DerivativeRule(*arm.split(whole=True), goals, damping)
+        known, leaves = arm.split(whole=True)
+        return DerivativeRule(known, leaves, goals, damping, free)
 
     def joints(self, q: jax.Array, valid: jax.Array) -> jax.Array:
         """Joints (..., S, n) of slots that reach their goals, or not, (..., S)."""
-        return _joints(self.known, self.damping, self.leaves, self.goals, q, valid)
+        return _joints(self.known, self.damping, self.leaves, self.goals, self.free, q, valid)
 
     def chosen_joints(self, q: jax.Array, valid: jax.Array) -> jax.Array:
         """Joints (..., n) of one slot for each goal, which reaches it or not, (...)."""
@@ -67,36 +75,37 @@ class DerivativeRule(NamedTuple):
 
     def margins(self, margin: jax.Array) -> jax.Array:
         """Margins (..., S)."""
-        return _margins(self.known, self.leaves, self.goals, margin)
+        return _margins(self.known, self.leaves, self.goals, self.free, margin)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
-def _joints(known: Known, damping: float, leaves: list, goals, q, valid):
+def _joints(known: Known, damping: float, leaves: list, goals, free, q, valid):
     """The joints q as they are; their derivatives are those of `_joints_jvp`."""
     return q
 
 
 def _joints_jvp(known: Known, damping: float, primals, tangents):
-    leaves, goals, q, valid = primals
+    leaves, goals, free, q, valid = primals
     # Applied again, so that q has derivatives in derivatives of second order.
-    q = _joints(known, damping, leaves, goals, q, valid)
+    q = _joints(known, damping, leaves, goals, free, q, valid)
     # Where no number of the arm changes, nothing is computed for the arm.
     arm_is_fixed = all(isinstance(rate, SymbolicZero) for rate in tangents[0])
     leaf_rates = [np.zeros(x.shape, x.dtype) if isinstance(x, SymbolicZero) else x for x in tangents[0]]
 
-    goals_are_fixed = isinstance(tangents[1], SymbolicZero)
-    if arm_is_fixed and goals_are_fixed:
+    goals_are_fixed, free_is_fixed = (x is None or isinstance(x, SymbolicZero) for x in tangents[1:3])
+    if arm_is_fixed and goals_are_fixed and free_is_fixed:
         return q, jnp.zeros_like(q)
 
-    def motion(goal_rates, joints, valid):
+    def motion(goal_rates, free_rates, joints, valid):
         arm = Arm.join(known, leaves)
         arm_rates = None if arm_is_fixed else _arm_of_rates(known, leaf_rates)
-        return _joint_rates(arm, arm_rates, goal_rates, joints, valid, damping)
+        return _joint_rates(arm, arm_rates, goal_rates, free_rates, joints, valid, damping)
 
     # Numbers and not rows: each is then one contiguous array of a block, forwards and backwards.
     goal_rates = None if goals_are_fixed else tuple(row[:4] for row in entries_of(tangents[1])[:3])
+    free_rates = None if free_is_fixed else tangents[2]
     joints = tuple(q[..., i] for i in range(q.shape[-1]))
-    rates = in_blocks(motion, valid.shape[:-1], (goal_rates, joints, valid), BLOCK)
+    rates = in_blocks(motion, valid.shape[:-1], (goal_rates, free_rates, joints, valid), BLOCK)
     return q, jnp.stack(rates, axis=-1)
 
 
@@ -114,28 +123,29 @@ def _arm_of_rates(known: Known, leaf_rates: list) -> Arm:
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _margins(known: Known, leaves: list, goals, margin):
+def _margins(known: Known, leaves: list, goals, free, margin):
     """The margins as they are; their derivatives are those of the rule below."""
     return margin
 
 
 @_margins.defjvp
 def _margins_jvp(known: Known, primals, tangents):
-    leaves, goals, margin = primals
+    leaves, goals, free, margin = primals
 
-    def computed(leaves, goals):
+    def computed(leaves, goals, free):
         with pinning(divider(goals[..., 0, 3])):
-            slots = slots_of(Arm.join(known, leaves), entries_of(goals), None, None)
+            slots = slots_of(Arm.join(known, leaves), entries_of(goals), None, None, free)
         return jnp.stack([jnp.broadcast_to(s.margin, goals.shape[:-2]) for s in slots], axis=-1)
 
-    _, rate = jax.jvp(computed, (leaves, goals), tangents[:2])
-    return _margins(known, leaves, goals, margin), rate
+    _, rate = jax.jvp(computed, (leaves, goals, free), tangents[:3])
+    return _margins(known, leaves, goals, free, margin), rate
 
 
 def _joint_rates(
     arm: Arm,
     arm_rates: Arm | None,
     goal_rates: Entries | None,
+    free_rates: jax.Array | None,
     joints: tuple[jax.Array, ...],
     valid: jax.Array,
     damping: float,
@@ -148,6 +158,7 @@ def _joint_rates(
         arm: The arm.
         arm_rates: An arm whose leaves are rates; None for zero.
         goal_rates: The first three rows, each number (...); None for zero.
+        free_rates: (..., k) of the joints in `Arm.locked`; None for zero.
         joints: n arrays (..., S).
         valid: (..., S); elsewhere the rates are zero.
         damping: Of the pseudo-inverse.
@@ -175,16 +186,25 @@ def _joint_rates(
     if arm_rates is not None:
         arm_twist = twists.parameter_twist(arm, arm_rates, joints, kinematics, reached.position)
         twist = twist.plus(arm_twist.times(-1.0))
+    # Joints that are locked move as they are told to; the others make up for it.
+    given: list[Scalar] = [0.0] * len(arm.locked)
+    if free_rates is not None:
+        given = [free_rates[..., j][None] for j in range(len(arm.locked))]
+        columns_of_q = twists.motor_twists(arm, kinematics, reached.position)
+        for i, rate in zip(arm.locked, given, strict=True):
+            twist = twist.plus(columns_of_q[i].times(-rate))
     size = reach(arm)
     task_rows = twists.task_rows(arm, kinematics, 1 / size)
     wanted = [divide(x) for x in task_rows(twist)]
     # The value of a slide counts in reaches too.
-    units = [size if kind == "P" else 1.0 for kind in arm.kinds]
-    motions = zip(units, twists.motor_twists(arm, kinematics, reached.position), strict=True)
+    units = [size if arm.kinds[i] == "P" else 1.0 for i in arm.solved]
+    solved_twists = twists.motor_twists(arm, kinematics, reached.position)
+    solved_twists = solved_twists[arm.solved.start : arm.solved.stop]
+    motions = zip(units, solved_twists, strict=True)
     columns = [[divide(x) for x in task_rows(motion.times(unit))] for unit, motion in motions]
     # The normal equations of damped least squares, (J^T J + damping^2 I) x = J^T wanted.
     matrix = [[divide(dot(u, v)) for v in columns] for u in columns]
-    for i in range(arm.n):
+    for i in range(len(columns)):
         matrix[i][i] = matrix[i][i] + damping * damping
     invalid = ~slots_first(valid)
     right = [dot(u, wanted) for u in columns]
@@ -201,4 +221,6 @@ def _joint_rates(
         lambda x: [dot(row, x) for row in matrix], right, solve, symmetric=True
     )
     rates = [jnp.where(invalid, 0, unit * step) for unit, step in zip(units, steps, strict=True)]
+    locked = [jnp.where(invalid, 0, rate) for rate in given]
+    rates = [*locked[: arm.solved.start], *rates, *locked[arm.solved.start :]]
     return tuple(jnp.moveaxis(jnp.broadcast_to(x, invalid.shape), 0, -1) for x in rates)

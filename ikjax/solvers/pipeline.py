@@ -97,10 +97,17 @@ class Frame(NamedTuple):
     correction_size: Scalar
     """A small part (1 / 32) of the sum of these corrections: enough to bend an elbow that has to be straight
     on the arm as recognized and need not be so on the arm as given."""
+    locked: Joints = ()
+    """The joints of `Arm.locked` at their values, which are a part of `from_world` and of `from_tool`."""
 
 
-def prepare(arm: Arm) -> Frame:
-    """The frame of an arm."""
+def prepare(arm: Arm, free: tuple[Scalar, ...] = ()) -> Frame:
+    """The frame of an arm.
+
+    Args:
+        arm: The arm.
+        free: The values of the joints in `Arm.locked` [rad, m].
+    """
     size = reach(arm)
     per = 1 / size
     table = tuple(
@@ -114,6 +121,21 @@ def prepare(arm: Arm) -> Frame:
         between = tuple(Pose(p.rotation, vector.scale(per, p.position)) for p in off[1:-1])
     base = Pose(base.rotation, vector.scale(per, base.position))
     tool = Pose(tool.rotation, vector.scale(per, tool.position))
+    locked = tuple(
+        _joint_at(table[i], value, per, jnp.result_type(value))
+        for i, value in zip(arm.locked, free, strict=True)
+    )
+    if locked:
+        at = dict(zip(arm.locked, locked, strict=True))
+        for i in range(arm.solved.start):
+            base = advance(base, table[i], placed(table[i], at[i]))
+            base = base if between is None else poses.compose(base, between[i])
+        for i in reversed(range(arm.solved.stop, arm.n)):
+            before = poses.IDENTITY if between is None else between[i - 1]
+            tool = poses.compose(advance(before, table[i], placed(table[i], at[i])), tool)
+        base, tool = jax.tree.map(pin, (base, tool))
+        table = table[arm.solved.start : arm.solved.stop]
+        between = None if between is None else between[arm.solved.start : arm.solved.stop - 1]
     tip_tool = poses.compose(advance(poses.IDENTITY, table[-1], Joint(0.0, 1.0, table[-1].d)), tool)
     bare = Link(table[-1].kind, 0.0, 0.0, 1.0, 0.0, table[-1].theta)
     return Frame(
@@ -125,12 +147,13 @@ def prepare(arm: Arm) -> Frame:
         tip_tool.position,
         between,
         0.0 if between is None else _correction_size(arm, per),
+        locked,
     )
 
 
 def _correction_size(arm: Arm, per: Scalar) -> Scalar:
     assert arm.correction is not None
-    rows = [numbers(arm.correction[i]) for i in range(1, arm.n)]
+    rows = [numbers(arm.correction[i + 1]) for i in arm.solved[:-1]]
     return sum(per * sum(map(abs, row[:3])) + sum(map(abs, row[3:])) for row in rows) / 32
 
 
@@ -143,6 +166,7 @@ def solve_scalars(
     goal: Pose,
     fallback: tuple[Scalar, ...] | None = None,
     tolerance: float | None = None,
+    free: tuple[Scalar, ...] = (),
 ) -> tuple[Slot, ...]:
     """Every slot for one goal, in scalars (or for many goals, one array a scalar).
 
@@ -151,12 +175,13 @@ def solve_scalars(
         goal: T_world_tool with an orthonormal rotation; `clean` makes one of anything.
         fallback: Joint values where the goal leaves joints arbitrary; zero by default.
         tolerance: Overrides `VALID` for the goal's type.
+        free: The values of the joints in `Arm.locked` [rad, m], finite.
 
     Returns:
         One `Slot` for each branch of the family, in slot order.
     """
     tolerance = VALID[jnp.result_type(goal.position[0]).name] if tolerance is None else tolerance
-    frame, tip, setting = _prepared(arm, goal, fallback)
+    frame, tip, setting = _prepared(arm, goal, fallback, free)
     allowed = tolerance * (1 + frame.per_reach * vector.norm(goal.position))
     turning = arm.task in TURNING
     family = FAMILIES[str(arm.family)]
@@ -180,8 +205,8 @@ def solve_scalars(
             margin = jnp.where(valid, margin, jnp.minimum(margin, -branch.miss))
         slots.append(
             Slot(
-                branch.joints,
-                motors(_joint_values(frame, branch.joints)),
+                _whole(arm, branch.joints, frame.locked),
+                motors(_whole(arm, _joint_values(frame, branch.joints), free)),
                 valid,
                 frame.reach * margin,
                 branch.continuum,
@@ -193,16 +218,16 @@ def solve_scalars(
     return tuple(slots)
 
 
-def proposed(arm: Arm, goal: Pose) -> list[tuple[Scalar, ...]]:
+def proposed(arm: Arm, goal: Pose, free: tuple[Scalar, ...] = ()) -> list[tuple[Scalar, ...]]:
     """Joints of every slot, for a goal that need not be reached: as near as the closed form comes.
 
     Arguments as in `solve_scalars`. Nothing is measured, and the arm is taken as recognized.
     """
-    frame, tip, setting = _prepared(arm, goal, None)
+    frame, tip, setting = _prepared(arm, goal, None, free)
     family = FAMILIES[str(arm.family)]
     branches = (family.nearest or family.branches)(arm.signs, frame.links, tip, setting)
     motors = _motors(arm)
-    return [motors(_joint_values(frame, branch.joints)) for branch in branches]
+    return [motors(_whole(arm, _joint_values(frame, branch.joints), free)) for branch in branches]
 
 
 def proposed_at_limits(arm: Arm, goal: Pose) -> list[tuple[Scalar, ...]]:
@@ -226,14 +251,23 @@ def proposed_at_limits(arm: Arm, goal: Pose) -> list[tuple[Scalar, ...]]:
     return [motors(_joint_values(frame, joints)) for joints in ways]
 
 
-def _prepared(arm: Arm, goal: Pose, fallback: tuple[Scalar, ...] | None) -> tuple[Frame, Pose, Setting]:
+def _whole(arm: Arm, solved: tuple, locked: tuple) -> tuple:
+    """What there is of each joint, of that of the solved joints and that of the locked ones."""
+    return (*locked[: arm.solved.start], *solved, *locked[arm.solved.start :])
+
+
+def _prepared(
+    arm: Arm, goal: Pose, fallback: tuple[Scalar, ...] | None, free: tuple[Scalar, ...] = ()
+) -> tuple[Frame, Pose, Setting]:
     """The arm's frame, the goal as its family expects it, and the setting of the family."""
     dtype = jnp.result_type(goal.position[0])
-    frame = prepare(arm)
+    frame = prepare(arm, free)
     zero = TINY * float(np.finfo(dtype).eps)
     values = coupled(arm, (0.0,) * arm.n if fallback is None else fallback)
+    values = values[arm.solved.start : arm.solved.stop]
     joints = tuple(
-        _fallback(link, value, frame, dtype) for link, value in zip(frame.links, values, strict=True)
+        _joint_at(link, value, frame.per_reach, dtype)
+        for link, value in zip(frame.links, values, strict=True)
     )
     scaled = Pose(goal.rotation, vector.scale(frame.per_reach, goal.position))
     tip = jax.tree.map(pin, _tip_goal(arm.task, frame, scaled))
@@ -287,9 +321,10 @@ def _row(entries) -> jax.Array:
     return jnp.stack([jnp.asarray(x) for x in entries]) if isinstance(entries, np.ndarray) else entries
 
 
-def _fallback(link: Link, value: Scalar, frame: Frame, dtype) -> Angle | Slide:
+def _joint_at(link: Link, value: Scalar, per_reach: Scalar, dtype) -> Angle | Slide:
+    """The joint of a link at a value [rad, m]."""
     if link.kind == "P":
-        return Slide(jnp.asarray(frame.per_reach * value, dtype))
+        return Slide(jnp.asarray(per_reach * value, dtype))
     total = jnp.asarray(link.theta + value, dtype)
     return Angle(*sincos(total), total)
 

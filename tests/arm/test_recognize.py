@@ -18,7 +18,8 @@ FAMILY = {
     "planar_2r": "planar_position",
     **dict.fromkeys(["motoman_l3", "so101", "katana_6m180", "vx300"], "five_axis"),
     "gx4_351s": "scara",
-    "stanford": "pieper",
+    **dict.fromkeys(["stanford", "iiwa7", "iiwa14", "rm75", "gen3"], "pieper"),
+    **dict.fromkeys(["fer", "fr3", "xarm7", "gen72"], "pieper_reversed"),
 }
 TASKS = {"planar_pose": "planar_pose", "planar_position": "planar_position"}
 TABLES = {
@@ -55,7 +56,7 @@ def test_every_arm_of_the_catalogue_has_its_family(name):
     arm = ikjax.robots.get(name)
     assert arm.family == FAMILY[name]
     assert arm.task == TASKS.get(arm.family, "pose")
-    assert len(arm.branches) == len(set(arm.branches)) == {2: 2, 3: 2, 4: 2, 5: 4, 6: 8}[arm.n]
+    assert len(arm.branches) == len(set(arm.branches)) == {2: 2, 3: 2, 4: 2, 5: 4, 6: 8, 7: 8}[arm.n]
     if arm.family not in TABLES:
         return
     assert arm.branches[:2] == ("front/up/noflip", "back/up/noflip")

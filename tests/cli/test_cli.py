@@ -85,6 +85,14 @@ def test_solve_prints_eight_rows(run):
     assert [row.split()[1] for row in rows] == list(robots.puma560().branches)
 
 
+def test_solve_takes_the_value_of_a_redundant_joint(run):
+    code, out, _ = run("solve", "fer", *GOAL, "--redundancy", "0.3", "--radians")
+    assert code == 0 and out.startswith("fer: 8 of 8 branches reach the goal")
+    assert all(row.split()[10] == "0.3000" for row in out.splitlines()[2:])
+    code, _, err = run("solve", "fer", *GOAL)
+    assert code != 0 and "redundancy= must give the value of joint7" in err
+
+
 def test_negative_numbers_are_numbers(run):
     code, out, _ = run("solve", "ur5", "--xyz", "-0.4", "-.2", "3e-1", "--rpy", "-1", "0", "-0.5", "--json")
     assert code == 0
