@@ -192,7 +192,7 @@ def entries_in(goals: jax.Array) -> Entries:
 
 @dataclasses.dataclass(frozen=True)
 class SolveBlock:
-    """`solve` of one block: its rows are goals (N, 4, 4), q_now (N, n) or None, and redundancy (N, k) or None."""
+    """`solve` of one block: rows of goals (N, 4, 4), q_now (N, n) or None, redundancy (N, k) or None."""
 
     pose_tolerance: float | None
 
