@@ -56,6 +56,7 @@ def build_parser() -> argparse.ArgumentParser:
     def command(run, name: str, text: str) -> argparse.ArgumentParser:
         parser = commands.add_parser(name, help=text, description=text)
         parser.add_argument("--json", action="store_true", help="print one JSON object")
+        parser.add_argument("--no-cache", action="store_true", help="do not keep compiled programs")
         parser.set_defaults(run=run)
         return parser
 

@@ -408,3 +408,15 @@ def test_a_signal_stops_a_sweep_that_can_be_continued(run, study, tmp_path, name
     assert not (tmp_path / "map.zarr.lock").exists()
     _, _, err = run(*words, "--resume", "--max-hours", "1e-9")
     assert int(err.split(" holds ")[1].split(" of ")[0]) >= 2
+
+
+def test_compiled_programs_are_kept_in_the_users_cache_folder(tmp_path):
+    environment = {k: v for k, v in os.environ.items() if k != "JAX_COMPILATION_CACHE_DIR"}
+    environment |= {"XDG_CACHE_HOME": str(tmp_path)}
+    goal = ["--xyz", "0.5", "0.2", "0", "--rpy", "0", "0", "0"]
+    command = [sys.executable, "-m", "ikjax.cli", "solve", "planar_2r", *goal]
+    subprocess.run([*command, "--no-cache"], env=environment, check=False, capture_output=True)
+    assert not (tmp_path / "ikjax").exists()
+    done = subprocess.run(command, env=environment, check=False, capture_output=True)
+    assert done.returncode in (0, 1), done.stderr
+    assert any((tmp_path / "ikjax").iterdir())
