@@ -38,7 +38,7 @@ def _keep_programs() -> None:
 
     Source: XDG Base Directory Specification; a relative XDG_CACHE_HOME is ignored.
     """
-    if jax.config.jax_compilation_cache_dir:
+    if jax.config.values["jax_compilation_cache_dir"]:
         return
     folder = Path(os.environ.get("XDG_CACHE_HOME", ""))
     home = folder if folder.is_absolute() else Path.home() / ".cache"
