@@ -52,6 +52,14 @@ class Solutions:
     """(...) bool: the goal was a pose: finite numbers, a bottom row (0, 0, 0, 1), and a rotation to 1e-5.
     Where not, nothing was solved. None, in solutions made by hand, counts as True for all goals."""
 
+    def __repr__(self) -> str:
+        goals, slots = self.valid.shape[:-1], self.valid.shape[-1]
+        text = f"Solutions of goals {goals}, {slots} slots of {self.q.shape[-1]} joints, {self.q.dtype}"
+        if isinstance(self.valid, jax.core.Tracer) or not isinstance(self.valid, jax.Array | np.ndarray):
+            return f"<{text}>"
+        solved = np.asarray(self.valid).any(-1)
+        return f"<{text}: {solved.sum()} of {solved.size} goals are answered>"
+
     @property
     def origin(self) -> "Origin | None":
         """What `q` is made of; known only in the trace of the `solve` that made it."""

@@ -106,6 +106,13 @@ class TestBits:
         same_bits(one, other)
 
 
+def test_solutions_print_in_one_line(goals):
+    sol = ikjax.solve(ARM, goals[:3].astype(np.float32))
+    assert repr(sol) == "<Solutions of goals (3,), 8 slots of 6 joints, float32: 3 of 3 goals are answered>"
+    shapes = jax.eval_shape(lambda T: ikjax.solve(ARM, T), goals[:3].astype(np.float32))
+    assert repr(shapes) == "<Solutions of goals (3,), 8 slots of 6 joints, float32>"
+
+
 @pytest.mark.parametrize("with_now", [False, True])
 def test_every_field_has_the_type_of_the_goals(goals, dtype, with_now):
     now = np.zeros(6, dtype) if with_now else None
