@@ -68,7 +68,8 @@ def solve(
     goals, free = _with_redundancy(arm, goals, redundancy)
     arm = _in_type(arm, goals.dtype)
     fallback = None if q_now is None else _as_fallback(arm, goals, q_now)
-    if not is_traced((arm, goals, fallback, free)):
+    # Blocks are compiled beforehand, which `jax.disable_jit`, for debugging, does not allow.
+    if not jax.config.values["jax_disable_jit"] and not is_traced((arm, goals, fallback, free)):
         return batched.solve_eagerly(arm, goals, fallback, pose_tolerance, free)
     if not is_traced(goals):
         goals = not_folded(goals)

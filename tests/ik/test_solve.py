@@ -106,6 +106,13 @@ class TestBits:
         same_bits(one, other)
 
 
+@pytest.mark.slow
+def test_it_works_without_jit_for_debugging(goals):
+    with jax.disable_jit():
+        valid = ikjax.solve(ARM, goals[0]).valid
+    np.testing.assert_array_equal(valid, ikjax.solve(ARM, goals[0]).valid)
+
+
 def test_solutions_print_in_one_line(goals):
     sol = ikjax.solve(ARM, goals[:3].astype(np.float32))
     assert repr(sol) == "<Solutions of goals (3,), 8 slots of 6 joints, float32: 3 of 3 goals are answered>"
