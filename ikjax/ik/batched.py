@@ -78,12 +78,18 @@ def map_rows(block: Callable[..., Any], arm: Arm, inputs, batch: tuple[int, ...]
     # In numpy, because each call of jax costs as much as the whole program of one goal.
     inputs = jax.tree.map(lambda x: rows(np.asarray(x)), inputs)
     if count == 1:
-        return _few(block, known, batch, rest, inputs)
+        return _few_program()(block, known, batch, rest, inputs)
     inputs = jax.tree.map(lambda x: np.pad(x, [(0, FEW - count), *[(0, 0)] * (x.ndim - 1)]), inputs)
-    return _first_rows(_few(block, known, (FEW,), rest, inputs), batch)
+    return _first_rows(_few_program()(block, known, (FEW,), rest, inputs), batch)
 
 
-@functools.partial(jax.jit, static_argnums=(0, 1, 2), compiler_options=wide_vectors())
+@functools.cache
+def _few_program() -> Callable[..., Any]:
+    """The program of one block. Not made at import: the compiler's options depend on the devices, and to
+    ask for these is what `jax.distributed.initialize` and a fork must come before."""
+    return jax.jit(_few, static_argnums=(0, 1, 2), compiler_options=wide_vectors())
+
+
 def _few(block, known, batch: tuple[int, ...], rest, inputs):
     """One block of as many rows as the batch has, with its axes."""
     return _first_rows(block(Arm.join(known, rest), inputs), batch)

@@ -1,6 +1,7 @@
 """Results: `Solutions` of `solve`, `Projection` of `project` and `refine`, `Trajectory` of `track`."""
 
 import dataclasses
+import weakref
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -63,11 +64,11 @@ class Solutions:
     @property
     def origin(self) -> "Origin | None":
         """What `q` is made of; known only in the trace of the `solve` that made it."""
-        return self.__dict__.get("_origin")
+        return _origins.get(self)
 
     def with_origin(self, origin: "Origin") -> "Solutions":
-        """The same solutions, with their origin. It is no leaf, so it does not leave the trace."""
-        object.__setattr__(self, "_origin", origin)
+        """The same solutions, with their origin. It is no field, so it does not leave the trace."""
+        _origins[self] = origin
         return self
 
     def require(self) -> "Solutions":
@@ -100,6 +101,10 @@ class Solutions:
             names = _first_names([f"{name} (margin {margin:.3g} m)" for name, margin in rows])
             lines.append(f"{unsolved.sum()} of {solved.size} goals have no solution: goal {names}")
         raise ValueError("\n".join(lines))
+
+
+_origins: weakref.WeakKeyDictionary[Solutions, Origin] = weakref.WeakKeyDictionary()
+"""The origins of solutions that are being traced, for as long as these live."""
 
 
 def _indices(flags: np.ndarray) -> list:

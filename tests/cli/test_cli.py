@@ -355,8 +355,8 @@ def test_verify_finds_a_wrong_answer(monkeypatch):
 
     from ikjax.ik import verify
 
-    def lying(arm, goals):
-        sol = ikjax.solve(arm, goals)
+    def lying(arm, goals, **values):
+        sol = ikjax.solve(arm, goals, **values)
         return dataclasses.replace(sol, q=sol.q + 1e-3)
 
     monkeypatch.setattr(verify, "solve", lying)
