@@ -139,15 +139,15 @@ def one_goal() -> list[Row]:
             seconds_of(lambda: ikjax.solve(arm, goal), 9, 50),
             "empty program",
             reference,
-            10,
+            30,
         ),
-        Row("one goal: nearest of solve", seconds_of(near, 9, 50), "empty program", reference, 25),
+        Row("one goal: nearest of solve", seconds_of(near, 9, 50), "empty program", reference, 90),
         Row(
             "one goal: project, SO-101",
             seconds_of(lambda: ikjax.project(five, five_goal), 9, 5),
             "empty program",
             reference,
-            150,
+            450,
         ),
     ]
 
