@@ -82,7 +82,7 @@ def nearest(
     if origin is None:
         return _nearest(arm, sol.q, sol.valid, near, factors)
     q, slot, found = _nearest_slot(arm, origin.slots, sol.valid, near, factors)
-    reaches = _chosen([origin.valid[..., s] for s in range(len(origin.slots))], slot)
+    reaches = of_slot(slot, [origin.valid[..., s] for s in range(len(origin.slots))])
     return origin.differentiable(q, reaches), found
 
 
@@ -145,15 +145,16 @@ def _nearest_slot(arm: Arm, slots: list[list[jax.Array]], valid: jax.Array, near
         least = jnp.minimum(least, largest)
         found |= valid[..., s]
     chosen = pin(chosen)
-    joints = [_chosen(list(numbers), chosen) for numbers in zip(*slots, strict=True)]
+    joints = [of_slot(chosen, list(numbers)) for numbers in zip(*slots, strict=True)]
     return jnp.stack([pin(x) for x in turned(joints)], axis=-1), chosen, found
 
 
-def _chosen(values: list[jax.Array], slot: jax.Array) -> jax.Array:
-    """Of values of each slot, (...) each, that of the slot with this number."""
-    return functools.reduce(
-        lambda best, s: jnp.where(slot == s, values[s], best), range(1, len(values)), values[0]
-    )
+def of_slot(slot: jax.Array, values: list) -> jax.Array:
+    """Of values of all slots, (...) each, that of the slot with this number at each place."""
+    chosen = values[0]
+    for number, value in enumerate(values[1:], 1):
+        chosen = jnp.where(slot == number, value, chosen)
+    return jnp.broadcast_to(chosen, slot.shape)
 
 
 def _entries(rows: jax.Array, shape: tuple[int, ...]) -> list[jax.Array]:

@@ -24,7 +24,7 @@ from ikjax.core.xla import as_array, divider, in_blocks, pinning, stop_gradient
 from ikjax.ik.inline import entries_of, jit_with_arm, slots_of
 from ikjax.ik.quality import joint_clearances, limit_clearance
 from ikjax.ik.results import Solutions
-from ikjax.ik.select import within_limits
+from ikjax.ik.select import of_slot, within_limits
 from ikjax.ik.solve import as_goals, check_family, solve
 from ikjax.ik.turns import limits_like, nearest_turn
 from ikjax.solvers.pipeline import Slot
@@ -228,14 +228,6 @@ def _level(arm: Arm, move, counts, clear):
     return jnp.where(counts, 1 / (1 + move), jnp.minimum(clear, 0) / size)
 
 
-def _own(own: jax.Array, every: list) -> jax.Array:
-    """Of the values of all slots, that of the slot asked for at each place."""
-    chosen = every[0]
-    for slot, value in enumerate(every[1:], 1):
-        chosen = jnp.where(own == slot, value, chosen)
-    return jnp.broadcast_to(chosen, own.shape)
-
-
 def _slots_at(arm: Arm, flat: jax.Array, r: jax.Array) -> tuple[Slot, ...]:
     """Every slot of goals (N, 4, 4) at values (N, ...), each number an array of that shape."""
     shape = (-1, *[1] * (r.ndim - 1))
@@ -298,7 +290,7 @@ def _ends(
         every = _slots_at(arm, flat, r)
         spare = [functools.reduce(jnp.minimum, joint_clearances(arm, slot.q)) for slot in every]
         fields = ([slot.margin for slot in every], [slot.valid for slot in every], spare)
-        return _joined(arm, *(_own(own, field) for field in fields))
+        return _joined(arm, *(of_slot(own, field) for field in fields))
 
     positive = clear >= 0
     toward = jnp.where(positive, -clear, clear)
@@ -387,8 +379,10 @@ def _search(arm: Arm, factors, goals: jax.Array, present: jax.Array, slot, low, 
     def at(r: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Joints (N, K, n) of the candidates' slots at values (N, K), and their levels."""
         every = _slots_at(arm, flat, r)
-        values = [_own(own, [each.q[i] for each in every]) for i in range(arm.n)]
-        margin, valid = (_own(own, [getattr(each, name) for each in every]) for name in ("margin", "valid"))
+        values = [of_slot(own, [each.q[i] for each in every]) for i in range(arm.n)]
+        margin, valid = (
+            of_slot(own, [getattr(each, name) for each in every]) for name in ("margin", "valid")
+        )
         clear = _joined(
             arm, margin, valid, functools.reduce(jnp.minimum, joint_clearances(arm, tuple(values)))
         )

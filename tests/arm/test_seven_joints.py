@@ -5,6 +5,7 @@ import math
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from oracle import turn
 
 import ikjax
 
@@ -89,15 +90,6 @@ REDUNDANT = {
     **dict.fromkeys(["fer", "fr3", "xarm7", "gen72"], ("joint7", "pieper_reversed")),
     **dict.fromkeys(["iiwa7", "iiwa14", "gen3", "rm75"], ("joint1", "pieper")),
 }
-
-
-def turn(axis, angle):
-    """Rodrigues' formula."""
-    x, y, z = axis
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    T = np.eye(4)
-    T[:3, :3] += math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross
-    return T
 
 
 def flange(name, q):
