@@ -84,3 +84,19 @@ def solve_symmetric(
             x[i] = x[i] - lower[j][i] * x[j]
         x[i] = pin(x[i])
     return x
+
+
+def damped_steps(columns: Sequence[Sequence[Scalar]], gap: Sequence[Scalar], damping: Scalar) -> Row:
+    """x with (J^T J + damping) x = J^T gap: a step of damped least squares.
+
+    Args:
+        columns: Those of J.
+        gap: What the step should make up for, of the length of a column.
+        damping: A positive number, which keeps the system regular where columns are dependent.
+
+    Source: Levenberg (1944) and Marquardt (1963), with a constant damping.
+    """
+    matrix = [[pin(dot(columns[i], columns[j])) for j in range(i + 1)] for i in range(len(columns))]
+    for i, row in enumerate(matrix):
+        row[i] = row[i] + damping
+    return solve_symmetric(matrix, [pin(dot(column, gap)) for column in columns])

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from ikjax.arm.forward import Link, advance
 from ikjax.core import pose as poses
 from ikjax.core import safe, vector
-from ikjax.core.linear import dot, solve_symmetric
+from ikjax.core.linear import damped_steps
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Angle, Scalar
 from ikjax.core.vector import Vector
@@ -277,13 +277,8 @@ def _step(given: Given, joints: Joints, goal: Pose, turning: bool, setting: Sett
             motions.append((*map(pin, arm), *axis))
     motions = [m[:rows] for m in motions]
     wanted = wanted[:rows]
-    # The normal equations (J^T J + damping) x = J^T r. The damping, 16 eps, keeps them regular where the
-    # columns of J are dependent.
-    count = len(joints)
-    matrix = [[pin(dot(motions[i], motions[j])) for j in range(i + 1)] for i in range(count)]
-    for i in range(count):
-        matrix[i][i] = matrix[i][i] + setting.zero_tolerance / 4
-    steps = solve_symmetric(matrix, [pin(dot(m, wanted)) for m in motions])
+    # The damping, 16 eps, keeps the normal equations regular where the columns of J are dependent.
+    steps = damped_steps(motions, wanted, setting.zero_tolerance / 4)
     size = functools.reduce(jnp.maximum, map(abs, steps))
     shrink = pin(LARGEST_STEP / jnp.maximum(size, LARGEST_STEP))
     moved = (_rounded(moved_on(joint, step * shrink)) for joint, step in zip(joints, steps, strict=True))

@@ -341,3 +341,22 @@ def test_an_arm_with_parallel_axes_and_no_offsets_is_answered(family):
     # float32 misses what rounding hides near singularities.
     rough = ikjax.solve(arm.astype(np.float32), np.asarray(goals, np.float32))
     assert (~np.asarray(rough.valid).any(-1)).sum() <= 12
+
+
+RIGHT_ANGLES = {
+    "stretched beside axis 1": ([0, 0.3, 0.3, 0, 0, 0], [90, -90, 30, -90, -90, 0], [0.4, 0, 0, 0, 0, 0.1]),
+    "slanted": ([0, 0.3, 0.3, 0, 0, 0], [30, 30, 180, 90, -90, 90], [0, 0, 0, 0, 0, 0.1]),
+    "4, 5, 6 parallel": ([0, 0.3, 0, 0.4, 0.3, 0.1], [30, -90, 90, 0, 0, 90], [0.2, 0, 0.15, 0.1, 0, 0.1]),
+}
+
+
+@pytest.mark.parametrize("name", RIGHT_ANGLES)
+def test_special_arms_at_right_angles_are_answered(name):
+    """Two singularities at once: a step that needs a regular Jacobian, or joint 2 at zero, has no answer."""
+    a, alpha, d = RIGHT_ANGLES[name]
+    arm = ikjax.Arm.from_dh(a=a, alpha=np.deg2rad(alpha), d=d, convention="standard")
+    q = np.random.default_rng(0).integers(-1, 3, (4096, 6)) * np.pi / 2
+    goals = np.asarray(ikjax.fk(arm, q))
+    sol = ikjax.solve(arm, goals)
+    assert np.asarray(sol.valid).any(-1).all()
+    assert not _wrong(arm, sol, goals, np.float64).any()

@@ -173,7 +173,10 @@ def _parallel_axes(t: Table) -> Judgement:
         between = points[i + 1] - points[i]
         apart = float(np.linalg.norm(np.cross(along[which[0]], between)))
         checks.append(t.apart(f"axes {i + 1} and {i + 2} apart", apart))
-    off = _proportional(place, along, points) / t.size
+    off, off_first = (x / t.size for x in _proportional(place, along, points))
+    # The quartic is as good where joint B is nearly alone as elsewhere, so that this has no nearly.
+    b_alone = off_first <= SPLITS["parallel_axes"] and off_first < off
+    off = off_first if b_alone else off
     bounds = {
         PairSplit.EXACTLY: t.tolerance,
         PairSplit.WITHIN_1E_5: SPLITS["parallel_axes"],
@@ -182,22 +185,31 @@ def _parallel_axes(t: Table) -> Judgement:
     }
     split = next((split for split, most in bounds.items() if off <= most), PairSplit.NONE)
     pairs = [("b+", "b-"), ("a+", "a-")] if split.is_split else [("rising", "falling"), ("low", "high")]
-    signs = named.ParallelAxesSigns(place, split, *_along(t, which))
+    pairs = pairs[::-1] if b_alone else pairs
+    signs = named.ParallelAxesSigns(place, split, b_alone, *_along(t, which))
     return checks, signs, _slots(("left", "right"), *pairs)
 
 
-def _proportional(place: int, along: np.ndarray, points: np.ndarray) -> float:
-    """Determinant of the coefficients of joint B in `solvers.families.parallel_axes`."""
+def _proportional(place: int, along: np.ndarray, points: np.ndarray) -> tuple[float, float]:
+    """Determinants of the coefficients of joints B and A in `solvers.families.parallel_axes`.
+
+    Those of A depend on the goal; that of 4, 5, 6 is given as a share of their largest for any goal. That of
+    2, 3, 4 vanishes for single goals only.
+    """
     if place in (1, 3):
         along, points = along[::-1], points[::-1]
     if place in (2, 3):
-        h, axis = along[1], along[4]
-        rows = [(h, along[5]), (h, points[5] - points[4])]
-    else:
-        axis = along[2]
-        rows = [(along[1], along[3]), (points[2] - points[1], along[3])]
-    coefficients = [(u @ v - (u @ axis) * (axis @ v), u @ np.cross(axis, v)) for u, v in rows]
-    return abs(float(np.linalg.det(np.array(coefficients))))
+        return _area(along[4], along[5], points[5] - points[4], seen=along[1]), np.inf
+    return (
+        _area(along[2], along[1], points[2] - points[1], seen=along[3]),
+        _area(along[0], along[1], points[1] - points[0]),
+    )
+
+
+def _area(axis: np.ndarray, u: np.ndarray, v: np.ndarray, seen: np.ndarray | None = None) -> float:
+    """Area of the parallelogram of two vectors seen along an axis, times sin^2 of the axis and `seen`."""
+    size = 1.0 if seen is None else float(np.sum(np.cross(axis, seen) ** 2))
+    return abs(float(axis @ np.cross(u, v))) * size
 
 
 def _scara(t: Table) -> Judgement:

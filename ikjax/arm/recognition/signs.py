@@ -129,6 +129,8 @@ class ParallelAxesSigns(NamedTuple):
     """The first of the three parallel axes: 1, 2, 3 or 4."""
     split: PairSplit
     """How the equations for joints A and B split."""
+    b_alone: bool
+    """Whether it is B that a combination of the equations has alone, and not A."""
     first: int
     """Of the three parallel axes the first against itself: +1."""
     second: int

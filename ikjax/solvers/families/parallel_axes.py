@@ -10,7 +10,8 @@ Steps:
    (of axis 6 for 2, 3, 4; of axis 2 for 4, 5, 6). Both are linear in the cosines and sines of two
    other joints, A and B. Solved for the cosine and sine of B, whose squares add up to one, they give a
    quartic in A. Where the arm's own numbers do not allow that (`PairSplit`), a combination of the two has A
-   alone, and then the other gives B.
+   alone, and then the other gives B. Where axes 1 and 2 meet or are parallel (4, 5, 6 parallel), B is alone
+   and gives A.
 2. The last joint that is not parallel, C, turns one known direction to another.
 3. planar: the three parallel joints, two answers.
 
@@ -19,20 +20,24 @@ Bits:
 2. rising or falling: the sign of the quartic's derivative at the root for A. If the equations split: b+ or
    b-, the sign of the derivative of the equation for B.
 3. low or high: the order of the two such roots from -pi. If the equations split: a+ or a-, the sign of the
-   derivative of the equation for A.
+   derivative of the equation for A. Where B is alone, the second and the third change places.
 
 Source: three parallel axes are Pieper's second case (1968); the elimination is that of subproblem 6 of
 Elias and Wen, IK-Geo (2022), in circle form.
 """
 
+import functools
+import itertools
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from ikjax.arm.forward import Link
 from ikjax.arm.recognition.signs import PairSplit, ParallelAxesSigns
 from ikjax.core import pose as poses
 from ikjax.core import safe, vector
+from ikjax.core.linear import damped_steps
 from ikjax.core.pose import Pose
 from ikjax.core.roots import circle_quartic, cosine_sine
 from ikjax.core.trig import Angle, Scalar, SinCos, add_small_angle
@@ -42,6 +47,7 @@ from ikjax.solvers.context import Branch, Setting
 from ikjax.solvers.families.planar import Plane, heading_of, three_joints
 from ikjax.solvers.steps.lines import Axis, axes_of, component, pose_turned, seen_from, turned
 from ikjax.solvers.steps.regional.third_joint import clearance
+from ikjax.solvers.steps.triangle import ring
 
 
 class Equation(NamedTuple):
@@ -71,15 +77,14 @@ def branches(
 
     Arguments as in `pieper`.
     """
-    place, split, *along = signs
+    place, split, b_alone, *along = signs
     axes, tip = axes_of(links)
+    solve = _inner if place in (2, 3) else functools.partial(_last, b_alone)
     if place in (2, 4):
-        solve = _inner if place == 2 else _last
         ways = solve(axes, tip, goal, split, along, setting)
         return tuple(Branch(joints, goal, margin, free) for joints, margin, free in ways)
     # The inverse of a product of rotations about axes is the product, in the other order, of the inverse
     # rotations about the same axes, seen from the tip.
-    solve = _inner if place == 3 else _last
     back = tuple(seen_from(tip, axis) for axis in axes[::-1])
     fallback = tuple(Angle(-j.sin, j.cos, -j.value) for j in setting.fallback[::-1])
     setting = setting._replace(fallback=fallback)
@@ -94,7 +99,7 @@ def branches(
 
 def _inner(axes, tip: Pose, goal: Pose, split: PairSplit, along, setting: Setting):
     """Axes 2, 3, 4 parallel: A = 1, B = 5, C = 6."""
-    one, two, _, _, five, six = axes
+    one, two, _, four, five, six = axes
     h = two.along
     change = vector.matmul(goal.rotation, vector.transpose(tip.rotation))
     last = vector.rotate(change, six.along)
@@ -110,11 +115,17 @@ def _inner(axes, tip: Pose, goal: Pose, split: PairSplit, along, setting: Settin
             vector.dot(h, vector.subtract(five.point, one.point)),
         ),
     )
+    # Both sides seen from the wrist at DH zero, where joint 6 turns backwards what joint 5 turned.
+    back = vector.transpose(change)
+    base = Side(
+        Axis(vector.rotate(back, one.along), vector.rotate(back, vector.subtract(one.point, point))),
+        vector.rotate(back, h),
+        vector.rotate(back, vector.subtract(two.point, one.point)),
+    )
+    wrist = Side(_about(six, five), h, vector.subtract(four.point, five.point))
     answers = []
     for pair in _pairs(equations, split, (0, 4), setting):
-        a, b = pair.first, pair.second
-        wanted = vector.rotate(vector.transpose(change), turned(one.along, a.sin, a.cos, h))
-        c, free = _turn_to(six, turned(five.along, -b.sin, b.cos, h), wanted, 5, setting, backwards=True)
+        a, b, c, free = _settled(pair, base, wrist, six, -1, equations[1], _ring(axes[1:4]), 5, setting)
         # The parallel joints have to move `hand` to `rest`.
         rest = pose_turned(one, -a.sin, a.cos, goal)
         hand = pose_turned(five, b.sin, b.cos, pose_turned(six, c.sin, c.cos, tip))
@@ -124,7 +135,7 @@ def _inner(axes, tip: Pose, goal: Pose, split: PairSplit, along, setting: Settin
     return answers
 
 
-def _last(axes, tip: Pose, goal: Pose, split: PairSplit, along, setting: Setting):
+def _last(b_alone: bool, axes, tip: Pose, goal: Pose, split: PairSplit, along, setting: Setting):
     """Axes 4, 5, 6 parallel: A = 1, B = 3, C = 2."""
     one, two, three, four, _, six = axes
     h = four.along
@@ -143,18 +154,28 @@ def _last(axes, tip: Pose, goal: Pose, split: PairSplit, along, setting: Setting
     a, b, rest = component(facing, one.along, link)
     c, d, other = component(fore, three.along, h)
     second = Equation(a, b, c, d, height - rest - other)
+    base = Side(_about(two, one), facing, vector.subtract(point, one.point))
+    arm = Side(_about(two, three), h, vector.subtract(four.point, three.point))
     answers = []
-    for pair in _pairs((first, second), split, (0, 2), setting):
-        a, b = pair.first, pair.second
-        start = turned(three.along, b.sin, b.cos, h)
-        wanted = turned(one.along, -a.sin, a.cos, facing)
-        c, free = _turn_to(two, start, wanted, 1, setting)
+    equations, joints = (first, second), (0, 2)
+    if b_alone:
+        equations, joints = (_exchanged(first), _exchanged(second)), joints[::-1]
+    for pair in _pairs(equations, split, joints, setting):
+        if b_alone:
+            pair = pair._replace(first=pair.second, second=pair.first)
+        a, b, c, free = _settled(pair, base, arm, two, 1, second, _ring(axes[3:]), 1, setting)
         rest = pose_turned(two, -c.sin, c.cos, pose_turned(one, -a.sin, a.cos, goal))
         rest = pose_turned(three, -b.sin, b.cos, rest)
         for way in _planar(axes[3:], tip, rest, along, setting, 3):
             joints = (a, c, b, *way.joints)
             answers.append((joints, jnp.minimum(pair.margin, way.margin), pair.free | free | way.continuum))
     return answers
+
+
+def _exchanged(equation: Equation) -> Equation:
+    """The equation with A and B exchanged."""
+    a, b, c, d, e = equation
+    return Equation(c, d, a, b, e)
 
 
 def _facing(h: Vector, one: Axis, five: Axis, far: Vector, near: Vector, gap: Scalar) -> Equation:
@@ -183,16 +204,131 @@ def _planar(axes, tip: Pose, goal: Pose, along, setting: Setting, first: int):
     )
 
 
-def _turn_to(
-    axis: Axis, before: Vector, after: Vector, joint: int, setting: Setting, backwards: bool = False
-):
-    """The joint that turns one direction to another about its axis."""
+DIRECTION_STEPS = 2
+"""Steps on the direction itself; a second one where the first turned joint C by much."""
+
+
+class Side(NamedTuple):
+    """What one of joints A and B turns: the direction of the parallel axes, and a point of one of them."""
+
+    axis: Axis
+    """Of the joint; its point is seen from a point of axis C."""
+    direction: Vector
+    point: Vector
+    """Seen from the point of the axis."""
+
+    def turned(self, joint: Angle, sense: int) -> tuple[Vector, Vector, Vector]:
+        """The direction, its derivative by the joint, and the point seen from a point of axis C."""
+        sine, along = sense * joint.sin, self.axis.along
+        direction = turned(along, sine, joint.cos, self.direction)
+        point = vector.add(self.axis.point, turned(along, sine, joint.cos, self.point))
+        return direction, vector.scale(sense, vector.cross(along, direction)), point
+
+
+def _about(c: Axis, axis: Axis) -> Axis:
+    """An axis, its point seen from that of axis C."""
+    return axis._replace(point=vector.subtract(axis.point, c.point))
+
+
+def _ring(axes: tuple[Axis, ...]) -> tuple[Scalar, Scalar]:
+    """Least and greatest distance of the first of three parallel axes from the last."""
+    up = axes[0].along
+    links = (vector.subtract(b.point, a.point) for a, b in itertools.pairwise(axes))
+    return ring(*(vector.norm(vector.cross(up, link)) for link in links))
+
+
+def _settled(
+    pair: Pair,
+    base: Side,
+    hand: Side,
+    axis: Axis,
+    sense: int,
+    height: Equation,
+    span: tuple[Scalar, Scalar],
+    joint: int,
+    setting: Setting,
+) -> tuple[Angle, Angle, Angle, jax.Array]:
+    """Joint C, and A and B after a step of damped least squares.
+
+    A and B come from an angle to the parallel axes by its cosine, which near 0 and 180 degrees loses half the
+    digits. The step is on the direction itself, as C turns it. Where that is along axis C, joint C is
+    arbitrary; it then stays where it was as far as the parallel joints reach.
+
+    Args:
+        pair: Joints A and B.
+        base: What A turns, against the sense.
+        hand: What B turns.
+        axis: The axis of C, which turns the direction of `hand` to that of `base`.
+        sense: 1 or -1: which way B and C turn it.
+        height: How far along the parallel axes the hand is.
+        span: Least and greatest distance of the points of `base` and `hand`.
+        joint: The number of C among the joints, from 0.
+        setting: Fallback and tolerances.
+
+    Returns:
+        The three joints, and whether C is arbitrary.
+    """
+    a, b = pair.first, pair.second
+    for _ in range(DIRECTION_STEPS):
+        wanted, by_a, _ = base.turned(a, -sense)
+        given, by_b, _ = hand.turned(b, sense)
+        c, _ = _turn_to(axis, given, wanted, joint, sense, setting)
+        turn = functools.partial(turned, axis.along, sense * c.sin, c.cos)
+        columns = (
+            (*vector.scale(-1, by_a), height.b * a.cos - height.a * a.sin),
+            (*turn(by_b), height.d * b.cos - height.c * b.sin),
+        )
+        rest = height.e - height.a * a.cos - height.b * a.sin - height.c * b.cos - height.d * b.sin
+        gap = (*vector.subtract(wanted, turn(given)), rest)
+        steps = damped_steps(columns, gap, setting.zero_tolerance / 4)
+        small = functools.reduce(jnp.maximum, map(abs, steps)) < setting.rounding**0.25
+        a, b = (
+            setting.angle(*add_small_angle(x.sin, x.cos, pin(jnp.where(small, step, 0))))
+            for x, step in zip((a, b), steps, strict=True)
+        )
+    wanted, _, target = base.turned(a, -sense)
+    given, _, start = hand.turned(b, sense)
+    c, free = _turn_to(axis, given, wanted, joint, sense, setting)
+    filled = _closing(axis, sense, start, target, span, setting.fallback[joint])
+    c = setting.angle(jnp.where(free, filled[0], c.sin), jnp.where(free, filled[1], c.cos))
+    return a, b, c, free
+
+
+def _turn_to(axis: Axis, before: Vector, after: Vector, joint: int, sense: int, setting: Setting):
+    """The joint that turns one direction to another about its axis, and whether it is arbitrary."""
     cosine, sine, _ = component(after, axis.along, before)
-    sine = -sine if backwards else sine
-    size = sine * sine + cosine * cosine
-    free = size <= setting.zero_tolerance**2
-    weight = safe.reciprocal_sqrt(size)
-    return setting.filled(joint, free, sine * weight, cosine * weight), free
+    free = _across_squared(axis.along, after) <= setting.zero_tolerance**2
+    weight = safe.reciprocal_sqrt(sine * sine + cosine * cosine)
+    return setting.filled(joint, free | (weight == 0), sense * sine * weight, cosine * weight), free
+
+
+def _closing(axis: Axis, sense: int, start: Vector, target: Vector, span, fallback: Angle) -> SinCos:
+    """The turn nearest to the fallback that brings the start within the span of the target.
+
+    Both are seen along the axis: their distance squared is p^2 + q^2 - 2 p q cos(angle between them).
+    """
+    cosine, sine, _ = component(target, axis.along, start)
+    size = safe.sqrt(cosine * cosine + sine * sine)
+    # The angle from the start at the fallback to the target, by its cosine and sine times `size`.
+    ahead = cosine * fallback.cos + sense * sine * fallback.sin
+    aside = sense * sine * fallback.cos - cosine * fallback.sin
+    squares = sum(_across_squared(axis.along, v) for v in (start, target))
+    low, high = span
+    wanted = jnp.clip(ahead, (squares - high * high) / 2, (squares - low * low) / 2)
+    kept = wanted == ahead
+    wanted = jnp.clip(wanted, -size, size)
+    beside = jnp.where(aside < 0, -1, 1) * safe.sqrt((size - wanted) * (size + wanted))
+    # The turn is the angle to the target, less the angle that is left.
+    weight = safe.divide(1, size * size)
+    new_sin = (sense * sine * wanted - cosine * beside) * weight
+    new_cos = (cosine * wanted + sense * sine * beside) * weight
+    kept |= size == 0
+    return jnp.where(kept, fallback.sin, new_sin), jnp.where(kept, fallback.cos, new_cos)
+
+
+def _across_squared(along: Vector, v: Vector) -> Scalar:
+    across = vector.cross(along, v)
+    return vector.dot(across, across)
 
 
 def _pairs(equations: tuple[Equation, Equation], split: PairSplit, joints, setting: Setting) -> list[Pair]:

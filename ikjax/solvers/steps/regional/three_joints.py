@@ -24,6 +24,7 @@ Introduction to Robotics, 3rd ed., section 4.6; sliding joints and the eliminati
 """
 
 import functools
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -31,6 +32,7 @@ import jax.numpy as jnp
 from ikjax.arm.forward import Link, advance, known_sincos
 from ikjax.arm.recognition.signs import RegionalSplit
 from ikjax.core import safe, vector
+from ikjax.core.linear import damped_steps
 from ikjax.core.pose import IDENTITY, Pose
 from ikjax.core.roots import cosine_sine
 from ikjax.core.trig import Scalar
@@ -81,7 +83,7 @@ def regional(
 def _polished(
     chain: Chain, point: Vector, wanted: Vector, way: Regional, nearly: bool, setting: Setting
 ) -> Regional:
-    """The joints after a Newton step: the elimination squares lengths, and rounding errors with them.
+    """The joints after a step of damped least squares: the elimination squares lengths, and their rounding.
 
     Args:
         chain: The three links.
@@ -93,7 +95,7 @@ def _polished(
     """
     joints = way.joints
     for _ in range(4 if nearly else 1):
-        steps = _newton_steps(chain.links, joints, point, wanted)
+        steps = _damped_steps(chain.links, joints, point, wanted, setting)
         size = functools.reduce(jnp.maximum, (abs(step) for step in steps))
         # A larger step is not the correction of a small error: it would lead to another branch.
         small = size < setting.rounding**0.25
@@ -108,10 +110,13 @@ def _polished(
     return way._replace(joints=joints)
 
 
-def _newton_steps(
-    links: tuple[Link, ...], joints: Joints, point: Vector, wanted: Vector
-) -> tuple[Scalar, ...]:
-    """The Newton step of each joint, by Cramer's rule; zero where the Jacobian is singular."""
+def _damped_steps(
+    links: tuple[Link, ...], joints: Joints, point: Vector, wanted: Vector, setting: Setting
+) -> Sequence[Scalar]:
+    """The step of each joint by damped least squares, as in `given_arm`.
+
+    Where the Jacobian is singular it still takes the point as far as the joints can.
+    """
     placed_joints = tuple(map(placed, links, joints))
     first, second, third = (
         advance(IDENTITY, link, joint) for link, joint in zip(links, placed_joints, strict=True)
@@ -130,14 +135,7 @@ def _newton_steps(
     v = motion(joints[1], from_one)
     w = vector.rotate(second.rotation, motion(joints[2], from_two))
     gap = vector.rotate(back, vector.subtract(wanted, from_zero))
-    vw = vector.cross(v, w)
-    weight = safe.divide(1, vector.dot(u, vw))
-    across = vector.cross(gap, u)
-    return (
-        vector.dot(gap, vw) * weight,
-        -vector.dot(across, w) * weight,
-        vector.dot(across, v) * weight,
-    )
+    return damped_steps((u, v, w), gap, setting.zero_tolerance / 4)
 
 
 def _applied(pose: Pose, point: Vector) -> Vector:
