@@ -20,6 +20,9 @@ Bits: front or back as in `five_axis`; then left or right: the bend of the trian
 Source: ours.
 """
 
+import itertools
+
+import jax
 import jax.numpy as jnp
 
 from ikjax.arm.forward import Link
@@ -30,7 +33,7 @@ from ikjax.core.tolerances import SHORT_HAND
 from ikjax.core.trig import Scalar, SinCos
 from ikjax.core.vector import plus, times
 from ikjax.core.xla import pin
-from ikjax.solvers.context import Joints, Setting, bits
+from ikjax.solvers.context import Joints, Setting
 from ikjax.solvers.families.five_axis import joints_of
 from ikjax.solvers.families.five_nearest import Hand, hand_of, roll_of, turned, wrist_of
 from ikjax.solvers.steps.triangle import Triangle, triangle
@@ -46,20 +49,33 @@ def branches(
     setting: Setting,
     limits: dict[int, list[SinCos]],
 ) -> list[Joints]:
-    """Joints of both sides and both bends, for every limit of every joint; `limits` are DH angles."""
+    """Joints of both sides and both bends, for every limit of every joint; `limits` are DH angles.
+
+    Sides, bends and limits are leading axes of one array, so that a program contains the steps once.
+    """
+    like = goal.position[0]
+
+    def along(axis: int, values: list[Scalar]) -> Scalar:
+        stacked = jnp.stack([jnp.asarray(x, like.dtype) for x in values])
+        return stacked.reshape(-1, *[1] * (axis + like.ndim))
+
+    side = along(0, [1, -1]) * safe.sign(links[0].a)
+    hand = hand_of(signs, links, goal, side, setting)
     answers = []
-    for first in (0, 1):
-        side = bits(first)[0] * safe.sign(links[0].a)
-        hand = hand_of(signs, links, goal, side, setting)
-        for joint, angles in limits.items():
-            for angle in angles:
-                for left in (1.0, -1.0):
-                    bent = _bent(signs, links, hand, setting, joint, angle, left)
-                    shoulder, elbow, pitch = ((pin(x), pin(y)) for x, y in bent)
-                    roll = setting.angle(*roll_of(signs, hand.rotation, pitch, links[3], setting))
-                    # Its margin is not used.
-                    arm = Triangle(shoulder[0], shoulder[1], elbow[0], elbow[1], jnp.inf, False)
-                    answers.append(joints_of(signs, hand.base, arm, pitch, roll, setting))
+    for joint, angles in limits.items():
+        if not angles:
+            continue
+        sine, cosine = (along(2, list(x)) for x in zip(*angles, strict=True))
+        bent = _bent(signs, links, hand, setting, joint, (sine, cosine), along(1, [1, -1]))
+        shoulder, elbow, pitch = ((pin(x), pin(y)) for x, y in bent)
+        roll = setting.angle(*roll_of(signs, hand.rotation, pitch, links[3], setting))
+        # Its margin is not used.
+        arm = Triangle(shoulder[0], shoulder[1], elbow[0], elbow[1], jnp.inf, False)
+        joints = joints_of(signs, hand.base, arm, pitch, roll, setting)
+        shape = (len(angles), 2, 2, *like.shape)
+        joints = jax.tree.map(lambda x, shape=shape: jnp.broadcast_to(x, shape), joints)
+        for which in itertools.product(range(len(angles)), range(2), range(2)):
+            answers.append(jax.tree.map(lambda x, which=which: x[which], joints))
     return answers
 
 
@@ -70,7 +86,7 @@ def _bent(
     setting: Setting,
     joint: int,
     angle: SinCos,
-    left: float,
+    left: Scalar,
 ) -> tuple[SinCos, SinCos, SinCos]:
     """Shoulder, elbow and pitch, with one joint at an angle.
 
