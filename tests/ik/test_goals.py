@@ -315,12 +315,13 @@ class TestNoPose:
             sol = ikjax.solve(arm, goals)
             return sol.margin.sum() + sol.q.sum()
 
-        of_arm, of_goals = jax.jit(jax.grad(total, (0, 1)))(ARM, goals)
-        alone, first = jax.jit(jax.grad(total, (0, 1)))(ARM, goals[:1])
-        for one, other in zip(jax.tree.leaves(of_arm), jax.tree.leaves(alone), strict=True):
-            np.testing.assert_allclose(one, other, atol=1e-9)
+        gradients = jax.jit(jax.grad(total, (0, 1)))
+        _, of_goals = gradients(ARM, goals)
+        assert np.abs(of_goals[0]).max() > 0.1
         np.testing.assert_array_equal(of_goals[1:], 0)
-        np.testing.assert_allclose(of_goals[:1], first, atol=1e-9)
+        of_arm, _ = gradients(ARM, goals[np.array([1, 2, 1])])
+        for leaf in jax.tree.leaves(of_arm):
+            np.testing.assert_array_equal(leaf, 0)
 
     def test_require_names_it_and_the_remedy_and_what_is_only_out_of_reach(self):
         far = goal()

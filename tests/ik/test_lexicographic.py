@@ -80,6 +80,7 @@ def test_the_point_is_held_where_it_can_be_with_the_nearest_orientation():
         assert near.rotation_error[k] <= turned(found.x) + 1e-6
 
 
+@pytest.mark.slow
 def test_a_point_out_of_reach_is_approached_as_near_as_it_can_be():
     goals, near = projected()
     fk, rng = numpy_fk(ARM), np.random.default_rng(1)

@@ -329,7 +329,8 @@ COMMON = {
 }
 
 
-@pytest.mark.parametrize("family", ["position", pytest.param("pieper", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("family", COMMON)
 def test_an_arm_with_parallel_axes_and_no_offsets_is_answered(family):
     """The equation for joint 3 is the same for its negative; of its other two roots many are complex."""
     table = {**COMMON[family], "alpha": np.deg2rad(COMMON[family]["alpha"])}
