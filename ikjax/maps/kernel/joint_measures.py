@@ -10,7 +10,6 @@ Source: Yoshikawa, Manipulability of robotic mechanisms, IJRR 4 (1985).
 """
 
 import functools
-import itertools
 import math
 from typing import Any
 
@@ -21,7 +20,7 @@ from ikjax.arm.arm import Arm
 from ikjax.arm.forward import Chain, Joint, advance, fixed_pose, links, reach
 from ikjax.arm.twists import Twist, motor_twists
 from ikjax.core import pose as poses
-from ikjax.core import safe, vector
+from ikjax.core import safe, singular, vector
 from ikjax.core.trig import Scalar
 from ikjax.core.xla import one_by_one, pin, pinning
 from ikjax.maps.kernel.flags import limit_share
@@ -86,29 +85,7 @@ def manipulability(columns: Rows) -> Scalar:
     Args:
         columns: From `jacobian_columns`.
     """
-    n, rows = len(columns), len(columns[0])
-    if n == rows == 3:
-        return abs(vector.dot(vector.cross(tuple(columns[0]), tuple(columns[1])), tuple(columns[2])))
-    if n == rows == 6:
-        return abs(_determinant_of_twists(columns))
-    pivots = _ldl_factors(_gram(columns), 0.0)[1]
-    return math.prod([safe.sqrt(pivot) for pivot in pivots[1:]], start=safe.sqrt(pivots[0]))
-
-
-def _determinant_of_twists(columns: Rows) -> Scalar:
-    """det J by Laplace's expansion: linear 3x3 minors of three columns, angular ones of the other three."""
-    linear, angular = ([tuple(c[part]) for c in columns] for part in (slice(0, 3), slice(3, 6)))
-    total: Scalar = 0.0
-    for chosen in itertools.combinations(range(6), 3):
-        others = [k for k in range(6) if k not in chosen]
-        sign = -1.0 if sum(chosen) % 2 == 0 else 1.0  # of the permutation: parity of sum - (0 + 1 + 2)
-        minor = pin(_triple([linear[k] for k in chosen]))
-        total = total + sign * minor * _triple([angular[k] for k in others])
-    return total
-
-
-def _triple(rows: list[vector.Vector]) -> Scalar:
-    return vector.dot(vector.cross(rows[0], rows[1]), rows[2])
+    return singular.volume([tuple(map(jnp.asarray, column)) for column in columns])
 
 
 def sigma_min(columns: Rows) -> Scalar:
@@ -116,7 +93,8 @@ def sigma_min(columns: Rows) -> Scalar:
 
     It is the root of the least eigenvalue of J^T J, found by Laguerre's method. The iteration starts at zero,
     approaches the eigenvalue from below, and never passes it. Values below the square root of the type's
-    rounding are noise, and may be zero.
+    rounding are noise, and may be zero. `core.singular` is exact there, but a sweep of a PUMA 560 would be
+    2.7 times slower.
 
     Args:
         columns: From `jacobian_columns`.
