@@ -11,7 +11,7 @@ import dataclasses
 import functools
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar, cast
 
 import jax
@@ -283,8 +283,43 @@ class Arm:
     @property
     def redundant(self) -> tuple[str, ...]:
         """Names of the joints in `locked`, whose values `solve(redundancy=...)` is given."""
-        names = self.joint_names or lock.numbered(self.n)
-        return tuple(names[i] for i in self.locked)
+        return tuple(self._names[i] for i in self.locked)
+
+    def to_dict(self, q: ArrayInput) -> dict[str, jax.Array]:
+        """Values of joints by their names: "joint1", "joint2", ... where the arm has none.
+
+        Args:
+            q: (..., n) [rad, m].
+
+        Returns:
+            The joints' names and values (...), in the order of `q`.
+
+        Raises:
+            ValueError: The last axis has another length.
+        """
+        q = jnp.asarray(q)
+        if q.ndim == 0 or q.shape[-1] != self.n:
+            raise ValueError(f"q must have shape (..., {self.n}), got {q.shape}")
+        return {name: q[..., i] for i, name in enumerate(self._names)}
+
+    def from_dict(self, values: Mapping[str, ArrayInput]) -> jax.Array:
+        """Joints (..., n) from values by their names, as `to_dict` returns them.
+
+        Args:
+            values: Each joint's value [rad, m], of shapes that broadcast. Further names are passed over: a
+                robot's state holds those of its gripper too.
+
+        Raises:
+            ValueError: A joint of the arm is missing.
+        """
+        missing = [name for name in self._names if name not in values]
+        if missing:
+            raise ValueError(f"no value for {', '.join(missing)}; the arm has {', '.join(self._names)}")
+        return jnp.stack(jnp.broadcast_arrays(*(jnp.asarray(values[name]) for name in self._names)), -1)
+
+    @property
+    def _names(self) -> tuple[str, ...]:
+        return self.joint_names or lock.numbered(self.n)
 
     @property
     def dtype(self) -> np.dtype:

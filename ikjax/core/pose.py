@@ -5,7 +5,7 @@ cancel when read: T_base_tool = T_base_elbow @ T_elbow_tool.
 Source of the angle conventions: Craig, Introduction to Robotics, 3rd ed., section 2.8.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -211,6 +211,31 @@ def from_rotation_vector(v: Vector) -> Matrix:
     return from_quaternion((jnp.where(small, 1 - square / 8, cosine), *vector.scale(factor, v)))
 
 
+class HasMatrix(Protocol):
+    """A rotation or pose of another library."""
+
+    def as_matrix(self) -> ArrayInput:
+        """(..., 3, 3) or (..., 4, 4)"""
+
+
+def as_matrix(x: Any) -> Any:
+    """The array that an object's method `as_matrix()` returns, or what is no such object as it is."""
+    return x.as_matrix() if hasattr(x, "as_matrix") else x
+
+
+def to_wxyz_xyz(poses: ArrayInput | HasMatrix) -> jax.Array:
+    """Poses as quaternions and positions, the form of many other libraries.
+
+    Args:
+        poses: (..., 4, 4), or an object with a method `as_matrix()`. They are not checked to be rigid.
+
+    Returns:
+        (..., 7): w, x, y, z of a quaternion of length 1, of either sign; then x, y, z [m].
+    """
+    there = from_matrix(jnp.asarray(as_matrix(poses)))
+    return jnp.stack([*to_quaternion(there.rotation), *there.position], axis=-1)
+
+
 def pose(
     xyz: ArrayInput | None = None,
     *,
@@ -218,7 +243,8 @@ def pose(
     wxyz: ArrayInput | None = None,
     xyzw: ArrayInput | None = None,
     rotvec: ArrayInput | None = None,
-    matrix: ArrayInput | None = None,
+    matrix: ArrayInput | HasMatrix | None = None,
+    wxyz_xyz: ArrayInput | None = None,
     orthonormalize: bool = False,
     dtype: DTypeLike | None = None,
 ) -> jax.Array:
@@ -234,7 +260,9 @@ def pose(
         wxyz: Quaternion, (..., 4), scalar first. Its length may be off by 1e-3.
         xyzw: The same with the scalar last.
         rotvec: Rotation vector [rad], (..., 3): the axis, as long as the angle.
-        matrix: Rotation, (..., 3, 3), or whole pose, (..., 4, 4); taken as it is.
+        matrix: Rotation, (..., 3, 3), or whole pose, (..., 4, 4); taken as it is. Or an object whose method
+            `as_matrix()` returns one, such as scipy's `Rotation` or jaxlie's `SE3`.
+        wxyz_xyz: Whole pose, (..., 7): a quaternion as `wxyz`, then the position [m].
         orthonormalize: Replace the rotation of `matrix`, which may be off by 1e-2 (the norm of
             R^T R - I), by the nearest one. What is traced and off by more is left as it is: `solve` masks it.
         dtype: Of the result; by default the floating type of the inputs.
@@ -253,8 +281,15 @@ def pose(
     Source: Craig, Introduction to Robotics, 3rd ed., section 2.8; of `rotvec`, Sola et al., A micro Lie
     theory (2018), (132)-(133).
     """
-    forms = {"rpy": rpy, "wxyz": wxyz, "xyzw": xyzw, "rotvec": rotvec, "matrix": matrix}
-    given: dict[str, ArrayInput] = {name: value for name, value in forms.items() if value is not None}
+    forms = {
+        "rpy": rpy,
+        "wxyz": wxyz,
+        "xyzw": xyzw,
+        "rotvec": rotvec,
+        "matrix": as_matrix(matrix),
+        "wxyz_xyz": wxyz_xyz,
+    }
+    given: dict[str, Any] = {name: value for name, value in forms.items() if value is not None}
     if len(given) > 1:
         raise ValueError(f"give one orientation, got {' and '.join(given)}")
     if orthonormalize and matrix is None:
@@ -277,6 +312,13 @@ def pose(
         if matrix_position is not None and position is not None:
             raise ValueError("give one position: matrix of shape (..., 4, 4) holds one, and xyz is another")
         position = matrix_position if position is None else position
+    elif form == "wxyz_xyz":
+        if position is not None:
+            raise ValueError("give one position: wxyz_xyz holds one, and xyz is another")
+        both = _components(form, value, 7, dtype)
+        if not isinstance(both[0], jax.core.Tracer):
+            _check_quaternion(form, np.asarray(value)[..., :4])
+        rotation, position = from_quaternion(both[:4]), both[4:]
     else:
         rotation = tuple(tuple(jnp.asarray(c, dtype) for c in row) for row in vector.IDENTITY)
     if position is None:

@@ -16,6 +16,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from ikjax.arm.arm import Arm, once_for_each_arm
+from ikjax.core import pose as poses
 from ikjax.core.warn import MOST_TURNS, warn_of_degrees
 from ikjax.core.xla import as_array, divider, is_traced, not_folded, stop_gradient
 from ikjax.ik import batched
@@ -185,11 +186,12 @@ _ACCEPTED = (jnp.float32, jnp.float64)
 
 
 def as_goals(goals) -> jax.Array:
-    """Goals as an array of float32 or float64, (..., 4, 4).
+    """Goals as an array of float32 or float64, (..., 4, 4), from one or from an object that has one.
 
     Raises:
         ValueError: Another shape or type.
     """
+    goals = goals if isinstance(goals, jax.Array) else poses.as_matrix(goals)
     if not isinstance(goals, jax.Array):
         try:
             goals = np.asarray(goals)

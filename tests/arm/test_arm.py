@@ -290,3 +290,18 @@ def test_every_number_of_an_arm_has_its_gradient(rng):
     for key in LEAVES[:-1]:
         # All of them matter, but for the bottom rows of the poses.
         assert np.all(getattr(gradient, key)[:3] != 0), key
+
+
+def test_joints_by_their_names_there_and_back():
+    arm = dataclasses.replace(ikjax.robots.planar_2r(0.5, 0.3), joint_names=("shoulder", "elbow"))
+    q = np.arange(6.0).reshape(3, 2)
+    values = arm.to_dict(q)
+    assert list(values) == ["shoulder", "elbow"]
+    np.testing.assert_array_equal(values["elbow"], [1, 3, 5])
+    np.testing.assert_array_equal(arm.from_dict({**values, "gripper": 0.1}), q)
+    np.testing.assert_array_equal(arm.from_dict({"elbow": q[:, 1], "shoulder": 2.0})[:, 0], 2)
+    with pytest.raises(ValueError, match="no value for elbow; the arm has shoulder, elbow"):
+        arm.from_dict({"shoulder": 0.0})
+    with pytest.raises(ValueError, match=r"\(\.\.\., 2\)"):
+        arm.to_dict(np.zeros(3))
+    assert list(ikjax.robots.planar_2r(0.5, 0.3).to_dict([0.1, 0.2])) == ["joint1", "joint2"]

@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import ikjax
 from ikjax.core import pose as poses
@@ -84,6 +85,33 @@ def test_the_derivatives_of_a_rotation_vector_are_right_at_zero_and_everywhere(s
         np.testing.assert_allclose(forward[..., k], wanted, atol=1e-9)
     np.testing.assert_allclose(backward, forward, atol=1e-15)
     assert np.isfinite(jax.jacfwd(jax.jacrev(turned))(v)).all()
+
+
+def test_quaternion_and_position_in_one_array_there_and_back(rng):
+    both = rng.normal(size=(5, 7))
+    both[:, :4] /= np.linalg.norm(both[:, :4], axis=-1, keepdims=True)
+    T = ikjax.pose(wxyz_xyz=both)
+    np.testing.assert_allclose(T, ikjax.pose(both[:, 4:], wxyz=both[:, :4]), atol=1e-15)
+    back = np.array(ikjax.to_wxyz_xyz(T))
+    back[:, :4] *= np.sign((back[:, :4] * both[:, :4]).sum(-1, keepdims=True))
+    np.testing.assert_allclose(back, both, atol=1e-14)
+    with pytest.raises(ValueError, match="wxyz_xyz holds one"):
+        ikjax.pose(np.zeros(3), wxyz_xyz=both[0])
+    with pytest.raises(ValueError, match="length"):
+        ikjax.pose(wxyz_xyz=2 * both)
+
+
+def test_rotations_of_scipy_are_taken_as_they_are(rng):
+    turned = Rotation.from_rotvec(rng.normal(size=(4, 3)))
+    T = ikjax.pose(np.ones(3), matrix=turned)
+    np.testing.assert_array_equal(T[:, :3, :3], turned.as_matrix())
+    arm = ikjax.robots.puma560()
+
+    class Pose:
+        def as_matrix(self):
+            return T
+
+    np.testing.assert_array_equal(ikjax.solve(arm, Pose()).q, ikjax.solve(arm, T).q)
 
 
 def test_a_whole_pose_as_a_matrix_brings_its_position(rng):
