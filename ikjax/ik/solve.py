@@ -16,6 +16,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from ikjax.arm.arm import Arm
+from ikjax.arm.recognition.rules import RULES
 from ikjax.core.known import as_array, is_traced, stop_gradient
 from ikjax.core.warn import MOST_TURNS, warn_of_degrees
 from ikjax.core.xla import not_folded
@@ -106,6 +107,8 @@ def check_family(arm: Arm) -> None:
         ValueError: With the reason, and what to do instead.
     """
     if arm.family is not None:
+        if RULES[str(arm.family)].wide and jnp.result_type(float) == jnp.float32:
+            _warn_once_that_float64_is_needed(str(arm.family))
         return
     raise ValueError(refusal(arm))
 
@@ -138,6 +141,15 @@ def as_goals(goals) -> jax.Array:
         _warn_once_that_x64_is_off()
         goals = np.asarray(goals, np.float32)
     return jnp.asarray(goals)
+
+
+@functools.cache
+def _warn_once_that_float64_is_needed(family: str) -> None:
+    warnings.warn(
+        f"{family} misses solutions in float32 (arm.complete is False); "
+        'switch float64 on with jax.config.update("jax_enable_x64", True)',
+        stacklevel=4,
+    )
 
 
 @functools.cache

@@ -29,6 +29,7 @@ from ikjax.arm.forward import (
     strip,
     whole_turns,
 )
+from ikjax.arm.recognition.rules import RULES
 from ikjax.core import pose as poses
 from ikjax.core import safe, vector
 from ikjax.core.known import is_traced
@@ -38,7 +39,7 @@ from ikjax.core.trig import Angle, Scalar, atan2, canonical, sincos, wrap
 from ikjax.core.xla import pin
 from ikjax.solvers.context import Branch, Joints, Setting, Slide, placed
 from ikjax.solvers.families import FAMILIES, Family
-from ikjax.solvers.given_arm import Given, polished
+from ikjax.solvers.given_arm import Given, polished, polished_rows, step_count
 
 TURNING = ("pose", "planar_pose")
 """Tasks that ask for an orientation."""
@@ -156,42 +157,100 @@ def solve_scalars(
     Returns:
         One `Slot` for each branch of the family, in slot order.
     """
-    tolerance = VALID[jnp.result_type(goal.position[0]).name] if tolerance is None else tolerance
+    dtype = jnp.result_type(goal.position[0])
+    tolerance = VALID[dtype.name] if tolerance is None else tolerance
+    if RULES[str(arm.family)].wide and dtype == jnp.float32 and jnp.result_type(float) == jnp.float64:
+        return _in_float64(arm, goal, fallback, tolerance)
     frame, tip, setting = _prepared(arm, goal, fallback)
     allowed = tolerance * (1 + frame.per_reach * vector.norm(goal.position))
     turning = arm.task in TURNING
     family = FAMILIES[str(arm.family)]
+    given = Given(frame.links, frame.between, frame.tool_point)
+    both = allowed, tolerance
+    if family.stacked is not None:
+        whole = family.stacked(arm.signs, frame.links, tip, setting)
+        branch, squares = _finished(given, whole, tip, both, setting)
+        slot = _measured(arm, frame, branch, squares, (jnp.asarray(allowed)[None], tolerance))
+        return tuple(_entry(slot, k) for k in range(len(arm.branches)))
     branches = family.branches(arm.signs, frame.links, tip, setting)
     if frame.between is not None:
-        given = Given(frame.links, frame.between, frame.tool_point)
-        branches, gaps, turns = polished(given, branches, tip, turning, (allowed, tolerance), setting)
+        branches, gaps, turns = polished(given, branches, tip, turning, both, setting)
         measured = list(zip(gaps, turns, strict=True))
     else:
         measured = [_mismatch(frame, family, branch) for branch in branches]
-    motors = _motors(arm)
-    slots = []
-    for branch, (gap_squared, turn_squared) in zip(branches, measured, strict=True):
-        gap_squared, turn_squared = pin(gap_squared), pin(turn_squared)
-        turn_squared = turn_squared if turning else jnp.zeros_like(gap_squared)
-        # |R - S| = sqrt(8) sin(angle / 2) in the Frobenius norm, which is sqrt(2) angle for small angles.
-        valid = (gap_squared <= allowed * allowed) & (turn_squared <= 2 * tolerance**2)
-        half = safe.sqrt(jnp.minimum(turn_squared / 8, 1))
-        margin = jnp.minimum(branch.margin, 1)
-        if not isinstance(branch.miss, float):
-            margin = jnp.where(valid, margin, jnp.minimum(margin, -branch.miss))
-        slots.append(
-            Slot(
-                branch.joints,
-                motors(_joint_values(frame, branch.joints)),
-                valid,
-                frame.reach * margin,
-                branch.continuum,
-                frame.reach * safe.sqrt(gap_squared),
-                2 * atan2(half, safe.sqrt((1 - half) * (1 + half))),
-                jnp.maximum(gap_squared / (allowed * allowed), turn_squared / (2 * tolerance**2)),
-            )
-        )
-    return tuple(slots)
+    pairs = zip(branches, measured, strict=True)
+    return tuple(_measured(arm, frame, branch, squares, both) for branch, squares in pairs)
+
+
+def _in_float64(
+    arm: Arm, goal: Pose, fallback: tuple[Scalar, ...] | None, tolerance: float
+) -> tuple[Slot, ...]:
+    """The slots of a float32 goal, computed in float64."""
+
+    def cast(tree, dtype):
+        return jax.tree.map(lambda x: x.astype(dtype) if hasattr(x, "astype") else x, tree)
+
+    wide = cast(goal, jnp.float64), cast(fallback, jnp.float64)
+    slots = solve_scalars(arm.astype(jnp.float64), *wide, tolerance)
+
+    def narrow(x):
+        return x.astype(jnp.float32) if hasattr(x, "astype") and x.dtype == jnp.float64 else x
+
+    def narrowed(slot: Slot) -> Slot:
+        slot = jax.tree.map(narrow, slot)
+        return slot._replace(q=tuple(map(canonical, slot.q)))
+
+    return tuple(map(narrowed, slots))
+
+
+def _entry(slot: Slot, k: int) -> Slot:
+    """One of the slots that are stacked in one."""
+    return jax.tree.map(lambda x: x if isinstance(x, bool) else x[k], slot)
+
+
+def _measured(
+    arm: Arm,
+    frame: Frame,
+    branch: Branch,
+    squares: tuple[Scalar, Scalar],
+    allowed: tuple[Scalar, float],
+) -> Slot:
+    """The slot of a branch whose tool point and rotation are so far from the goal's."""
+    length, angle = allowed
+    gap_squared, turn_squared = map(pin, squares)
+    turn_squared = turn_squared if arm.task in TURNING else jnp.zeros_like(gap_squared)
+    # |R - S| = sqrt(8) sin(angle / 2) in the Frobenius norm, which is sqrt(2) angle for small angles.
+    valid = (gap_squared <= length * length) & (turn_squared <= 2 * angle**2)
+    half = safe.sqrt(jnp.minimum(turn_squared / 8, 1))
+    margin = jnp.minimum(branch.margin, 1)
+    if not isinstance(branch.miss, float):
+        margin = jnp.where(valid, margin, jnp.minimum(margin, -branch.miss))
+    return Slot(
+        branch.joints,
+        _motors(arm)(_joint_values(frame, branch.joints)),
+        valid,
+        frame.reach * margin,
+        branch.continuum,
+        frame.reach * safe.sqrt(gap_squared),
+        2 * atan2(half, safe.sqrt((1 - half) * (1 + half))),
+        jnp.maximum(gap_squared / (length * length), turn_squared / (2 * angle**2)),
+    )
+
+
+def _finished(
+    given: Given, slots: Branch, goal: Pose, allowed: tuple[Scalar, float], setting: Setting
+) -> tuple[Branch, tuple[Scalar, Scalar]]:
+    """All slots as one `Branch`, finished by Newton's method, and how far each is off.
+
+    The closed form is exact but beside folds, where its angles are good to the root of the rounding.
+    """
+    size = vector.plus(setting.rounding**0.5, 32 * setting.correction_size)
+    steps = 0 if given.between is None else step_count(setting.correction_size, allowed[1])
+    joints, *squares = polished_rows(
+        given, slots.joints, slots.margin, goal, True, allowed, setting, steps, size
+    )
+    joints = tuple(setting.angle(joint.sin, joint.cos) for joint in joints)
+    return slots._replace(joints=joints), (squares[0], squares[1])
 
 
 def proposed(arm: Arm, goal: Pose) -> list[tuple[Scalar, ...]]:

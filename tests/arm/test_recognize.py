@@ -19,6 +19,7 @@ FAMILY = {
     **dict.fromkeys(["motoman_l3", "so101", "katana_6m180", "vx300"], "five_axis"),
     "gx4_351s": "scara",
     "stanford": "pieper",
+    **dict.fromkeys(("cobotta", "crx10ia", "gen3lite", "gofa5", "hc10", "xarm6"), "offset_wrist"),
 }
 TASKS = {"planar_pose": "planar_pose", "planar_position": "planar_position"}
 TABLES = {
@@ -55,7 +56,11 @@ def test_every_arm_of_the_catalogue_has_its_family(name):
     arm = ikjax.robots.get(name)
     assert arm.family == FAMILY[name]
     assert arm.task == TASKS.get(arm.family, "pose")
-    assert len(arm.branches) == len(set(arm.branches)) == {2: 2, 3: 2, 4: 2, 5: 4, 6: 8}[arm.n]
+    assert (
+        len(arm.branches)
+        == len(set(arm.branches))
+        == (16 if arm.family == "offset_wrist" else {2: 2, 3: 2, 4: 2, 5: 4, 6: 8}[arm.n])
+    )
     if arm.family not in TABLES:
         return
     assert arm.branches[:2] == ("front/up/noflip", "back/up/noflip")
@@ -167,7 +172,7 @@ def test_an_arm_of_another_number_of_joints_is_told_what_is_supported(n):
     assert text.startswith("odd has no closed form here: ") and f"Found: joints {'R' * n}" in text
     for family in recognize.RULES:
         assert f"{family}: " in text
-    assert text.count("it wants joints RRRRRR.") == 3
+    assert text.count("it wants joints RRRRRR.") == 5
 
 
 def test_a_sliding_joint_keeps_an_arm_out_of_the_turning_families():

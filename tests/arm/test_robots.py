@@ -51,10 +51,10 @@ def test_the_catalogue_is_listed_in_alphabetical_order():
 
 def test_an_unknown_robot_is_answered_with_the_list():
     with pytest.raises(
-        ValueError, match="no robot 'puma'; the catalogue has elbow_manipulator, gx4_351s, irb120"
+        ValueError, match="no robot 'puma'; the catalogue has cobotta, crx10ia, elbow_manipulator"
     ):
         ikjax.robots.get("puma")
-    with pytest.raises(ValueError, match="no robot 'puma'; the catalogue has elbow_manipulator"):
+    with pytest.raises(ValueError, match="no robot 'puma'; the catalogue has cobotta, crx10ia"):
         ikjax.robots.poses("puma")
 
 

@@ -19,12 +19,22 @@ FAMILY = {
     "turret": "turret",
     "five axes": "five_axis",
     "wrist first": "pieper_reversed",
+    "offset wrist, reversed": "offset_wrist_reversed",
+    "offset wrist": "offset_wrist",
     "skew wrist": "pieper",
 }
 
 
 def family(name: str) -> str:
-    for part in ("wrist first", "skew wrist", "SCARA", "turret", "five axes"):
+    for part in (
+        "wrist first",
+        "skew wrist",
+        "offset wrist, reversed",
+        "offset wrist",
+        "SCARA",
+        "turret",
+        "five axes",
+    ):
         if part in name:
             return FAMILY[part]
     if "parallel" in name and "," in name and name[0] in "1234":

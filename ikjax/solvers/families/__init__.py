@@ -20,6 +20,7 @@ from ikjax.solvers.families import (
     five_axis,
     five_locked,
     five_nearest,
+    offset_wrist,
     ortho_parallel_wrist,
     parallel_axes,
     pieper,
@@ -49,6 +50,9 @@ class Family(NamedTuple):
     limits."""
     lockable: tuple[int, ...] = ()
     """The joints that `locked` can lock, counted from 0."""
+    stacked: Callable[..., Branch] | None = None
+    """As `branches`, but all slots are one `Branch`, whose numbers have the slots as their first axis: where
+    there are so many that a program should contain each step once. Newton's method finishes them."""
 
 
 FAMILIES = {
@@ -57,6 +61,10 @@ FAMILIES = {
     "pieper": Family(pieper.branches, first=3, last=0),
     "pieper_reversed": Family(pieper.reversed_branches, first=0, last=3),
     "parallel_axes": Family(parallel_axes.branches, first=0, last=0),
+    "offset_wrist": Family(offset_wrist.branches, first=0, last=0, stacked=offset_wrist.stacked),
+    "offset_wrist_reversed": Family(
+        offset_wrist.reversed_branches, first=0, last=0, stacked=offset_wrist.reversed_stacked
+    ),
     "scara": Family(scara.branches, first=0, last=0, small=True),
     "five_axis": Family(
         five_axis.branches,
