@@ -101,15 +101,13 @@ def real_roots(series: Series) -> Roots:
     chain = [series.derivative()]
     for _ in range(LEVELS - 1):
         chain.append(chain[-1].derivative())
-    points = _changes(chain[-1])
-    # One program for all levels between.
-    levels = jax.tree.map(lambda *x: jnp.stack(x), *chain[-2::-1])
-    points, _ = jax.lax.scan(lambda points, level: (_between(level, points), None), points, levels)
-    low = pin(values(series, points)[0])
-    high = shifted(low)
-    angle, real = _refined(series, (points, shifted(points, 2 * math.pi)), (low, high))
-    angle = jnp.where(angle > math.pi, angle - 2 * math.pi, angle)
-    return Roots(pin(angle), real, abs(low) <= abs(high), points)
+    start = _changes(chain[-1])
+    # One program for all levels below.
+    levels = jax.tree.map(lambda *x: jnp.stack(x), *chain[-2::-1], series)
+    none = start == math.inf
+    roots, _ = jax.lax.scan(_between, Roots(start, none, none, start), levels)
+    angle = jnp.where(roots.angle > math.pi, roots.angle - 2 * math.pi, roots.angle)
+    return roots._replace(angle=pin(angle))
 
 
 def values(series: Series, angle: Scalar) -> tuple[Scalar, Scalar, Scalar]:
@@ -153,22 +151,24 @@ def _changes(series: Series) -> jax.Array:
     _, place = jax.lax.fori_loop(0, GRID, counted, (jnp.zeros_like(at[:1]), jnp.zeros_like(at[:1]) * wanted))
     left = pin(start + step * jnp.minimum(place, GRID))
     right = jnp.minimum(left + step, math.pi)
-    low, high = (pin(values(series, t)[0]) for t in (left, right))
+    both = pin(values(series, jnp.concatenate([left, right]))[0])
+    low, high = both[: 2 * series.degree], both[2 * series.degree :]
     return _refined(series, (left, right), (low, high))[0]
 
 
-def _between(series: Series, points: jax.Array) -> jax.Array:
-    """The root in each interval between neighboring points.
+def _between(roots: Roots, series: Series) -> tuple[Roots, None]:
+    """The root in each interval between those of the derivative; the last one ends a turn after the first.
 
-    The last interval ends at the first point, one turn further. All angles are given in [-pi, pi].
+    The angles are not yet brought back to [-pi, pi].
     """
-    low = pin(values(series, points)[0])
-    ends = points, shifted(points, 2 * math.pi)
-    angle, _ = _refined(series, ends, (low, shifted(low)))
+    last = roots.angle[-1:]
     # The last interval crosses pi: its root may belong to the front of the row.
-    over = pin(angle[-1:]) > math.pi
-    turned = jnp.concatenate([angle[-1:] - 2 * math.pi, angle[:-1]])
-    return pin(jnp.where(over, turned, angle))
+    turned = jnp.concatenate([last - 2 * math.pi, roots.angle[:-1]])
+    points = pin(jnp.where(last > math.pi, turned, roots.angle))
+    low = pin(values(series, points)[0])
+    high = shifted(low)
+    angle, real = _refined(series, (points, shifted(points, 2 * math.pi)), (low, high))
+    return Roots(angle, real, abs(low) <= abs(high), points), None
 
 
 def shifted(row: jax.Array, turn: float = 0.0) -> jax.Array:

@@ -21,7 +21,7 @@ import numpy as np
 from ikjax.arm.arm import Arm
 from ikjax.core import cores
 from ikjax.core.xla import divider, pinning, to_columns, to_rows, wide_vectors
-from ikjax.ik.inline import FIELDS, Entries, slots_of
+from ikjax.ik.inline import FIELDS, Entries, from_rows, rows_of, slots_of
 from ikjax.ik.results import Solutions
 
 BLOCK, BLOCKS = 4096, 4
@@ -151,6 +151,9 @@ class SolveBlock:
         goals, q_now = rows
         entries = entries_in(goals)
         with pinning(divider(entries[0][3])):
+            stacked = rows_of(arm, entries, q_now, self.pose_tolerance)
+            if stacked is not None:
+                return from_rows(stacked)
             slots = slots_of(arm, entries, q_now, self.pose_tolerance)
         q = to_rows([x for slot in slots for x in slot.q], BLOCK).reshape(BLOCK, len(slots), arm.n)
         rest = {name: to_rows([getattr(slot, name) for slot in slots], BLOCK) for name in FIELDS}

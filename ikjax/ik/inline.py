@@ -28,7 +28,7 @@ from ikjax.core.pose import Pose, clean
 from ikjax.core.xla import AgreedRoots, divider, hidden, pinning, through_one_number
 from ikjax.ik.results import Solutions
 from ikjax.solvers.families import FAMILIES
-from ikjax.solvers.pipeline import Slot, solve_scalars
+from ikjax.solvers.pipeline import Slot, solve_rows, solve_scalars
 
 FIELDS = ("valid", "margin", "continuum", "position_error", "rotation_error")
 
@@ -53,26 +53,43 @@ def slots_of(
         q_now: (..., n) joint values for joints that are arbitrary; zero where it is None.
         pose_tolerance: See `solve`.
     """
+    goal, proper = _proper(arm, entries)
+    slots = solve_scalars(arm, goal, _fallback(arm, q_now), pose_tolerance)
+    return tuple(_masked(arm, slot, proper) for slot in slots)
+
+
+def rows_of(arm: Arm, entries: Entries, q_now: jax.Array | None, pose_tolerance: float | None) -> Slot | None:
+    """As `slots_of`, but with the slots as the first axis of one; None where the family has no such form."""
+    if FAMILIES[str(arm.family)].stacked is None:
+        return None
+    goal, proper = _proper(arm, entries)
+    return _masked(arm, solve_rows(arm, goal, _fallback(arm, q_now), pose_tolerance), proper)
+
+
+def _proper(arm: Arm, entries: Entries) -> tuple[Pose, jax.Array]:
+    """The goal as an orthonormal pose, and whether it was one."""
     rotation, position = tuple(row[:3] for row in entries[:3]), tuple(row[3] for row in entries[:3])
     goal, proper = clean(Pose(rotation, position), reach(arm))
     for entry, wanted in zip(entries[3], (0, 0, 0, 1), strict=True):
         proper &= entry == wanted
-    fallback = None if q_now is None else tuple(q_now[..., i] for i in range(arm.n))
-    slots = solve_scalars(arm, goal, fallback, pose_tolerance)
-    # A goal that is no pose gets the largest errors, without derivatives.
-    size = jax.lax.stop_gradient(jnp.asarray(reach(arm), entries[0][3].dtype))
+    return goal, proper
 
-    def masked(slot: Slot) -> Slot:
-        return slot._replace(
-            valid=slot.valid & proper,
-            margin=jnp.where(proper, slot.margin, -size),
-            continuum=slot.continuum & proper,
-            position_error=jnp.where(proper, slot.position_error, size),
-            rotation_error=jnp.where(proper, slot.rotation_error, math.pi),
-            is_pose=proper,
-        )
 
-    return tuple(map(masked, slots))
+def _fallback(arm: Arm, q_now: jax.Array | None) -> tuple[jax.Array, ...] | None:
+    return None if q_now is None else tuple(q_now[..., i] for i in range(arm.n))
+
+
+def _masked(arm: Arm, slot: Slot, proper: jax.Array) -> Slot:
+    """The slot; a goal that is no pose gets the largest errors, without derivatives."""
+    size = jax.lax.stop_gradient(jnp.asarray(reach(arm), slot.margin.dtype))
+    return slot._replace(
+        valid=slot.valid & proper,
+        margin=jnp.where(proper, slot.margin, -size),
+        continuum=slot.continuum & proper,
+        position_error=jnp.where(proper, slot.position_error, size),
+        rotation_error=jnp.where(proper, slot.rotation_error, math.pi),
+        is_pose=proper,
+    )
 
 
 def is_small(arm: Arm) -> bool:
@@ -107,6 +124,9 @@ def solve_inline(
     entries, policy = entries_of(goals), divider(goals[..., 0, 3])
     if not is_small(arm):
         with pinning(policy):
+            rows = rows_of(arm, entries, q_now, pose_tolerance)
+            if rows is not None:
+                return from_rows(rows)
             return gathered(slots_of(arm, entries, q_now, pose_tolerance), goals.shape[:-2])
     roots = AgreedRoots(policy)
     hidden_entries = hidden(entries, goals[..., 0, 3])
@@ -130,6 +150,12 @@ def gathered(slots: tuple[Slot, ...], shape: tuple[int, ...], **instead: jax.Arr
     q = jnp.stack([gather(slot.q) for slot in slots], axis=-2)
     rest = {name: gather([getattr(slot, name) for slot in slots]) for name in FIELDS if name not in instead}
     return Solutions(q=q, is_pose=jnp.broadcast_to(slots[0].is_pose, shape), **rest, **instead)
+
+
+def from_rows(slot: Slot) -> Solutions:
+    """Slots that are the first axis of one (S, ...), as `Solutions`."""
+    q = jnp.moveaxis(jnp.stack(slot.q, axis=-1), 0, -2)
+    return Solutions(q=q, is_pose=slot.is_pose, **{f: jnp.moveaxis(getattr(slot, f), 0, -1) for f in FIELDS})
 
 
 def _mask(flags: list[jax.Array], goals: jax.Array) -> jax.Array:

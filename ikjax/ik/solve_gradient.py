@@ -29,7 +29,7 @@ from ikjax.core.linear import dot, solve_symmetric
 from ikjax.core.tolerances import GRADIENT_DAMPING
 from ikjax.core.trig import Scalar
 from ikjax.core.xla import divider, in_blocks, opaque_one, pinning
-from ikjax.ik.inline import entries_of, slots_of
+from ikjax.ik.inline import entries_of, rows_of, slots_of
 
 BLOCK = 4096
 """Goals whose derivatives are computed at a time."""
@@ -117,7 +117,11 @@ def _margins_jvp(known: Known, primals, tangents):
 
     def computed(leaves, goals):
         with pinning(divider(goals[..., 0, 3])):
-            slots = slots_of(Arm.join(known, leaves), entries_of(goals), None, None)
+            arm, entries = Arm.join(known, leaves), entries_of(goals)
+            rows = rows_of(arm, entries, None, None)
+            if rows is not None:
+                return jnp.moveaxis(rows.margin, 0, -1)
+            slots = slots_of(arm, entries, None, None)
         return jnp.stack([jnp.broadcast_to(s.margin, goals.shape[:-2]) for s in slots], axis=-1)
 
     _, rate = jax.jvp(computed, (leaves, goals), tangents[:2])

@@ -157,23 +157,18 @@ def solve_scalars(
     Returns:
         One `Slot` for each branch of the family, in slot order.
     """
-    dtype = jnp.result_type(goal.position[0])
-    tolerance = VALID[dtype.name] if tolerance is None else tolerance
-    if RULES[str(arm.family)].wide and dtype == jnp.float32 and jnp.result_type(float) == jnp.float64:
-        return _in_float64(arm, goal, fallback, tolerance)
+    if FAMILIES[str(arm.family)].stacked is not None:
+        rows = solve_rows(arm, goal, fallback, tolerance)
+        return tuple(_entry(rows, k) for k in range(len(arm.branches)))
+    tolerance = VALID[jnp.result_type(goal.position[0]).name] if tolerance is None else tolerance
     frame, tip, setting = _prepared(arm, goal, fallback)
     allowed = tolerance * (1 + frame.per_reach * vector.norm(goal.position))
     turning = arm.task in TURNING
     family = FAMILIES[str(arm.family)]
-    given = Given(frame.links, frame.between, frame.tool_point)
     both = allowed, tolerance
-    if family.stacked is not None:
-        whole = family.stacked(arm.signs, frame.links, tip, setting)
-        branch, squares = _finished(given, whole, tip, both, setting)
-        slot = _measured(arm, frame, branch, squares, (jnp.asarray(allowed)[None], tolerance))
-        return tuple(_entry(slot, k) for k in range(len(arm.branches)))
     branches = family.branches(arm.signs, frame.links, tip, setting)
     if frame.between is not None:
+        given = Given(frame.links, frame.between, frame.tool_point)
         branches, gaps, turns = polished(given, branches, tip, turning, both, setting)
         measured = list(zip(gaps, turns, strict=True))
     else:
@@ -182,25 +177,43 @@ def solve_scalars(
     return tuple(_measured(arm, frame, branch, squares, both) for branch, squares in pairs)
 
 
-def _in_float64(
-    arm: Arm, goal: Pose, fallback: tuple[Scalar, ...] | None, tolerance: float
-) -> tuple[Slot, ...]:
+def solve_rows(
+    arm: Arm,
+    goal: Pose,
+    fallback: tuple[Scalar, ...] | None = None,
+    tolerance: float | None = None,
+) -> Slot:
+    """Every slot in one, whose numbers have the slots as their first axis, for a family with `stacked`.
+
+    Arguments as in `solve_scalars`.
+    """
+    dtype, family = jnp.result_type(goal.position[0]), FAMILIES[str(arm.family)]
+    assert family.stacked is not None
+    tolerance = VALID[dtype.name] if tolerance is None else tolerance
+    if RULES[str(arm.family)].wide and dtype == jnp.float32 and jnp.result_type(float) == jnp.float64:
+        return _in_float64(arm, goal, fallback, tolerance)
+    frame, tip, setting = _prepared(arm, goal, fallback)
+    allowed = tolerance * (1 + frame.per_reach * vector.norm(goal.position))
+    given = Given(frame.links, frame.between, frame.tool_point)
+    whole = family.stacked(arm.signs, frame.links, tip, setting)
+    branch, squares = _finished(given, whole, tip, (allowed, tolerance), setting)
+    return _measured(arm, frame, branch, squares, (jnp.asarray(allowed)[None], tolerance))
+
+
+def _in_float64(arm: Arm, goal: Pose, fallback: tuple[Scalar, ...] | None, tolerance: float) -> Slot:
     """The slots of a float32 goal, computed in float64."""
 
     def cast(tree, dtype):
         return jax.tree.map(lambda x: x.astype(dtype) if hasattr(x, "astype") else x, tree)
 
     wide = cast(goal, jnp.float64), cast(fallback, jnp.float64)
-    slots = solve_scalars(arm.astype(jnp.float64), *wide, tolerance)
+    slot = solve_rows(arm.astype(jnp.float64), *wide, tolerance)
 
     def narrow(x):
         return x.astype(jnp.float32) if hasattr(x, "astype") and x.dtype == jnp.float64 else x
 
-    def narrowed(slot: Slot) -> Slot:
-        slot = jax.tree.map(narrow, slot)
-        return slot._replace(q=tuple(map(canonical, slot.q)))
-
-    return tuple(map(narrowed, slots))
+    slot = jax.tree.map(narrow, slot)
+    return slot._replace(q=tuple(map(canonical, slot.q)))
 
 
 def _entry(slot: Slot, k: int) -> Slot:
