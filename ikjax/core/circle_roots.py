@@ -34,8 +34,9 @@ LEVELS = 5
 """Order of that derivative. Close pairs of its own roots, which a grid misses, count only where all the lower
 derivatives have close pairs too: every further level halves what is lost."""
 
-STEPS = 4
-"""Steps of Euler's method at each level. With two, one root in 400 of a CRX-10iA's polynomials was lost."""
+STEPS = 5
+"""Steps of Euler's method at each level. With two, one root in 400 of a CRX-10iA's polynomials was lost; with
+four, one of 100 extrema between two roots that are just complex was 8e-4 rad off, in a wide interval."""
 
 
 class Series(NamedTuple):

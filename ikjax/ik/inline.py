@@ -63,7 +63,8 @@ def rows_of(arm: Arm, entries: Entries, q_now: jax.Array | None, pose_tolerance:
     if FAMILIES[str(arm.family)].stacked is None:
         return None
     goal, proper = _proper(arm, entries)
-    return _masked(arm, solve_rows(arm, goal, _fallback(arm, q_now), pose_tolerance), proper)
+    rows = solve_rows(arm, goal, _fallback(arm, q_now), pose_tolerance)
+    return _masked(arm, rows, proper[None])._replace(is_pose=proper)
 
 
 def _proper(arm: Arm, entries: Entries) -> tuple[Pose, jax.Array]:

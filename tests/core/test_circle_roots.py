@@ -135,7 +135,6 @@ def test_two_close_roots_are_told_apart(gap):
     assert (abs(found - [0, gap]) < 4 * allowed).all()
 
 
-@pytest.mark.xfail(strict=True, reason="a few of these hundred pairs are given once or not at all")
 def test_a_pair_that_is_just_complex_is_given_by_the_extremum_between():
     rng = np.random.default_rng(6)
     base = rng.uniform(-3, 3, (100, 1))

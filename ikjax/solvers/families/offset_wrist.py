@@ -46,6 +46,7 @@ from ikjax.arm.recognition.signs import OffsetWristSigns
 from ikjax.core import circle_roots, safe, vector
 from ikjax.core.circle_roots import Series, column
 from ikjax.core.pose import Pose
+from ikjax.core.tolerances import KEEPS_JOINT_6, ONE_WAY, ROOT_NOISE, WAY_STEP
 from ikjax.core.trig import Angle, Scalar, add_small_angle, sincos
 from ikjax.core.vector import Vector, minus, plus, times
 from ikjax.core.xla import pin
@@ -373,7 +374,7 @@ def formulate(constants: Constants, goal: Pose, shared: bool) -> tuple[Problem, 
     )
     five = constants.links[4]
     radius_squared = five.a**2 + (five.sin_alpha * five.d) ** 2
-    by_joint_1 = (near_6 < radius_squared) & ((near_1 > 0.05 * radius_squared) | (near_6 < near_1))
+    by_joint_1 = (near_6 < radius_squared) & ((near_1 > KEEPS_JOINT_6 * radius_squared) | (near_6 < near_1))
     by_joint_1 = pin(jnp.where(by_joint_1, jnp.ones_like(near_6), 0)) > 0
     problem = Problem(constants, seen, by_joint_1, shared)
     front = jax.tree.map(lambda a, b: _choose(by_joint_1, a, b), by_1, by_6)
@@ -391,10 +392,6 @@ class Candidate(NamedTuple):
     shoulder: Scalar
     elbow: Scalar
     margin: Scalar
-
-
-NEAR = 0.02
-"""[rad] The largest step of Newton's method from a root of the polynomial to that of one way."""
 
 
 def candidates(problem: Problem, series: Series, setting: Setting) -> Candidate:
@@ -437,7 +434,7 @@ def _ways(problem: Problem, series: Series, angle, sine, cosine, setting: Settin
     sizes[2:] = [jnp.where(second, s, jnp.inf) for s in sizes[2:]]
     least = functools.reduce(jnp.minimum, sizes)
     # A way whose root is clearly nearer than the others' is the only one.
-    most = jnp.minimum(loose, 64 * (least + setting.rounding**0.5))
+    most = jnp.minimum(loose, ONE_WAY * (least + setting.rounding**0.5))
     fits = [((s <= least) | (s < most)).astype(sine.dtype) for s in sizes]
     count = sum(fits)
     order = jnp.where(order < count, order, order - count * jnp.floor(order / count))
@@ -446,7 +443,7 @@ def _ways(problem: Problem, series: Series, angle, sine, cosine, setting: Settin
         mine = (fits[k] > 0) & (passed == order)
         way, step = jnp.where(mine, k, way), jnp.where(mine, steps[k], step)
         passed = passed + fits[k]
-    return pin(way), pin(jnp.clip(step, -NEAR, NEAR))
+    return pin(way), pin(jnp.clip(step, -WAY_STEP, WAY_STEP))
 
 
 def _before(row: jax.Array, k: int) -> jax.Array:
@@ -456,14 +453,14 @@ def _before(row: jax.Array, k: int) -> jax.Array:
 
 def _uncertainty(series: Series, angle: Scalar, setting: Setting) -> Scalar:
     """How far rounding may have moved a root, of multiplicity 1, 2 or 4 [rad]."""
-    noise = 4096 * setting.rounding
+    noise = ROOT_NOISE * setting.rounding
     _, first, second = circle_roots.values(series, angle)
     fourth = circle_roots.values(series.derivative().derivative(), angle)[2]
     tiny = jnp.finfo(angle.dtype).tiny
     single = noise / jnp.maximum(2 * abs(first), tiny)
     double = jnp.sqrt(noise / jnp.maximum(abs(second), tiny))
     fourfold = jnp.sqrt(jnp.sqrt(12 * noise / jnp.maximum(abs(fourth), tiny)))
-    spread = jnp.minimum(jnp.minimum(single, double), jnp.minimum(fourfold, NEAR))
+    spread = jnp.minimum(jnp.minimum(single, double), jnp.minimum(fourfold, WAY_STEP))
     return spread + setting.rounding**0.5
 
 
