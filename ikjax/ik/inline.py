@@ -156,7 +156,8 @@ def gathered(slots: tuple[Slot, ...], shape: tuple[int, ...], **instead: jax.Arr
 def from_rows(slot: Slot) -> Solutions:
     """Slots that are the first axis of one (S, ...), as `Solutions`."""
     q = jnp.moveaxis(jnp.stack(slot.q, axis=-1), 0, -2)
-    return Solutions(q=q, is_pose=slot.is_pose, **{f: jnp.moveaxis(getattr(slot, f), 0, -1) for f in FIELDS})
+    is_pose = jnp.broadcast_to(slot.is_pose, q.shape[:-2])
+    return Solutions(q=q, is_pose=is_pose, **{f: jnp.moveaxis(getattr(slot, f), 0, -1) for f in FIELDS})
 
 
 def _mask(flags: list[jax.Array], goals: jax.Array) -> jax.Array:
