@@ -32,7 +32,7 @@ from ikjax.arm.forward import (
 from ikjax.arm.recognition.rules import RULES
 from ikjax.core import pose as poses
 from ikjax.core import safe, vector
-from ikjax.core.known import is_traced
+from ikjax.core.known import is_traced, stop_gradient
 from ikjax.core.pose import Pose
 from ikjax.core.tolerances import TINY, UNSEEN, VALID
 from ikjax.core.trig import Angle, Scalar, atan2, canonical, sincos, wrap
@@ -257,11 +257,12 @@ def _finished(
 
     The closed form is exact but beside folds, where its angles are good to the root of the rounding.
     """
-    size = vector.plus(setting.rounding**0.5, 32 * setting.correction_size)
+    # Derivatives of joints are a rule of their own (`ik.solve_gradient`).
+    given, start, goal = stop_gradient((given, slots.joints, goal))
+    margin = stop_gradient(slots.margin)
+    size = stop_gradient(vector.plus(setting.rounding**0.5, 32 * setting.correction_size))
     steps = 0 if given.between is None else step_count(setting.correction_size, allowed[1])
-    joints, *squares = polished_rows(
-        given, slots.joints, slots.margin, goal, True, allowed, setting, steps, size
-    )
+    joints, *squares = polished_rows(given, start, margin, goal, True, allowed, setting, steps, size)
     joints = tuple(setting.angle(joint.sin, joint.cos) for joint in joints)
     return slots._replace(joints=joints), (squares[0], squares[1])
 

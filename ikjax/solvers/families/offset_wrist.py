@@ -45,6 +45,7 @@ from ikjax.arm.forward import Link
 from ikjax.arm.recognition.signs import OffsetWristSigns
 from ikjax.core import circle_roots, safe, vector
 from ikjax.core.circle_roots import Series, column
+from ikjax.core.known import stop_gradient
 from ikjax.core.pose import Pose
 from ikjax.core.tolerances import KEEPS_JOINT_6, ONE_WAY, ROOT_NOISE, WAY_STEP
 from ikjax.core.trig import Angle, Scalar, add_small_angle, sincos
@@ -395,10 +396,14 @@ class Candidate(NamedTuple):
 
 
 def candidates(problem: Problem, series: Series, setting: Setting) -> Candidate:
-    """One candidate for each interval of the polynomial, (2 m, ...)."""
-    roots = circle_roots.real_roots(series)
+    """One candidate for each interval of the polynomial, (2 m, ...); only its margin has derivatives.
+
+    Those of joints are a rule of their own (`ik.solve_gradient`).
+    """
+    roots = circle_roots.real_roots(stop_gradient(series))
     sine, cosine = (pin(x) for x in sincos(roots.angle))
-    margin = pin(_margins(problem, roots))
+    margin = pin(_margins(problem, roots._replace(extremum=_carried(series, roots.extremum))))
+    problem, series = stop_gradient((problem, series))
     way, step = _ways(problem, series, roots.angle, sine, cosine, setting)
     # From an extremum that is no root a step would lead to another candidate's root.
     step = jnp.where(margin >= -(setting.rounding**0.5), step, 0)
@@ -462,6 +467,13 @@ def _uncertainty(series: Series, angle: Scalar, setting: Setting) -> Scalar:
     fourfold = jnp.sqrt(jnp.sqrt(12 * noise / jnp.maximum(abs(fourth), tiny)))
     spread = jnp.minimum(jnp.minimum(single, double), jnp.minimum(fourfold, WAY_STEP))
     return spread + setting.rounding**0.5
+
+
+def _carried(series: Series, extremum: Scalar) -> Scalar:
+    """The same angles, with the derivatives of roots of the polynomial's derivative."""
+    _, first, second = circle_roots.values(series, extremum)
+    per = stop_gradient(safe.divide(1.0, second))
+    return extremum - per * (first - stop_gradient(first))
 
 
 def _margins(problem: Problem, roots: circle_roots.Roots) -> Scalar:
@@ -579,6 +591,7 @@ def stacked(signs: OffsetWristSigns, links: tuple[Link, ...], goal: Pose, settin
     table = constants(signs, links)
     problem, series = formulate(table, goal, bool(signs.shared))
     found = candidates(problem, series, setting)
+    problem = stop_gradient(problem)
     free = _one_line(goal, setting)[None]
     # Joint 6 is arbitrary: each slot stands for one way, and the equation does not depend on joint 6.
     places = column(range(found.sine.shape[0]), found.sine)
