@@ -472,7 +472,10 @@ def _uncertainty(series: Series, angle: Scalar, setting: Setting) -> Scalar:
 def _carried(series: Series, extremum: Scalar) -> Scalar:
     """The same angles, with the derivatives of roots of the polynomial's derivative."""
     _, first, second = circle_roots.values(series, extremum)
-    per = stop_gradient(safe.divide(1.0, second))
+    rounding = float(jnp.finfo(extremum.dtype).eps)
+    per = stop_gradient(second / (second * second + rounding))
+    # Where there are fewer extrema, the rest are no roots and stay where they are.
+    per = jnp.where(abs(stop_gradient(first)) * abs(per) < rounding**0.5, per, 0)
     return extremum - per * (first - stop_gradient(first))
 
 
