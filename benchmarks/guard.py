@@ -131,15 +131,24 @@ def one_goal() -> list[Row]:
     empty = jax.jit(lambda T: jax.tree.map(jnp.zeros_like, sol))
     reference = seconds_of(lambda: empty(goal), 9, 50)
     near = lambda: ikjax.nearest(arm, ikjax.solve(arm, goal), sol.q[0])  # noqa: E731
+    five = ikjax.robots.so101()
+    five_goal = jnp.asarray(projection.goals_of(five, 64)[0], jnp.float32)
     return [
         Row(
             "one goal: solve",
             seconds_of(lambda: ikjax.solve(arm, goal), 9, 50),
             "empty program",
             reference,
-            1000,
+            30,
         ),
-        Row("one goal: nearest of solve", seconds_of(near, 9, 50), "empty program", reference, 1500),
+        Row("one goal: nearest of solve", seconds_of(near, 9, 50), "empty program", reference, 90),
+        Row(
+            "one goal: project, SO-101",
+            seconds_of(lambda: ikjax.project(five, five_goal), 9, 5),
+            "empty program",
+            reference,
+            450,
+        ),
     ]
 
 
@@ -200,7 +209,7 @@ def compile_time() -> list[Row]:
 
 PARTS: dict[str, Callable[[], list[Row]]] = {
     "compile": compile_time,
-    "puma": lambda: in_a_jit("puma560", Bounds(10, 0.9, 25, 25, 50)),
+    "puma": lambda: in_a_jit("puma560", Bounds(10, 0.9, 25, 10, 13)),
     "ur5": lambda: in_a_jit("ur5", Bounds(10, 1.1, 20)),
     "one": one_goal,
     "file": arm_from_file,

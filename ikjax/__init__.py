@@ -31,6 +31,9 @@ from ikjax.ik.results import Solutions as Solutions
 from ikjax.ik.results import Trajectory as Trajectory
 from ikjax.ik.select import nearest as nearest
 from ikjax.ik.select import within_limits as within_limits
+from ikjax.ik.self_motion import SelfMotion as SelfMotion
+from ikjax.ik.self_motion import nearest_on_self_motion as nearest_on_self_motion
+from ikjax.ik.self_motion import self_motion as self_motion
 from ikjax.ik.solve import solve as solve
 from ikjax.ik.track import track as track
 from ikjax.ik.turns import Turns as Turns

@@ -1,5 +1,7 @@
 """Forward kinematics at 60 digits, from the DH leaves only, independent of ikjax's own."""
 
+import math
+
 import mpmath
 import numpy as np
 
@@ -52,3 +54,12 @@ def error(arm, q, goal) -> tuple[float, float]:
     gap = fk(arm, q) - exact(goal)
     chord = mp.mnorm(gap[:3, :3], "f") / mp.sqrt(8)  # sin(angle / 2)
     return float(mp.norm(gap[:3, 3])), float(2 * mp.asin(min(chord, 1)))
+
+
+def turn(axis, angle):
+    """The motion (4, 4) by an angle [rad] about an axis through the origin: Rodrigues' formula."""
+    x, y, z = axis
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    T = np.eye(4)
+    T[:3, :3] += math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross
+    return T

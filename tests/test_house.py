@@ -84,3 +84,9 @@ def test_the_library_never_sets_x64():
             if isinstance(node, ast.Call):
                 words |= {x.value for x in node.args if isinstance(x, ast.Constant)}
             assert not words & {"enable_x64", "jax_enable_x64"}, f"{path}:{getattr(node, 'lineno', '')}"
+
+
+def test_an_import_touches_no_device():
+    """Else `jax.distributed.initialize`, or a choice of devices after the import, would come too late."""
+    code = "import ikjax, ikjax.cli; from jax._src import xla_bridge; assert not xla_bridge._backends"
+    subprocess.run([sys.executable, "-c", code], check=True)

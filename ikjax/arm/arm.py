@@ -8,9 +8,11 @@ modified DH after Craig, Introduction to Robotics, 3rd ed., section 3.4.
 """
 
 import dataclasses
+import functools
 import math
 import os
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
@@ -19,18 +21,38 @@ from jax.typing import DTypeLike
 
 from ikjax.arm import dh, printing
 from ikjax.arm.axes_to_dh import Axes, Rewritten, rewritten, size_of
-from ikjax.arm.recognition import free_parameters, recognize
+from ikjax.arm.recognition import free_parameters, lock, recognize
 from ikjax.arm.recognition.rules import RULES
 from ikjax.arm.recognition.signs import named_signs
 from ikjax.core import pose as poses
 from ikjax.core import text
-from ikjax.core.known import as_array, constants, is_traced
 from ikjax.core.tolerances import AXIS_LADDER, COMPLETE, FACT, LARGEST_AXIS_TOLERANCE, TABLE_SPREAD
 from ikjax.core.trig import Scalar
 from ikjax.core.typing import ArrayInput
 from ikjax.core.warn import warn
+from ikjax.core.xla import as_array, constants, is_traced
 
 Number = jax.Array | np.ndarray
+
+
+Function = TypeVar("Function", bound=Callable)
+
+
+def once_for_each_arm(f: Function) -> Function:
+    """f(arm, *arguments), hashable ones, computed once for each arm of constants and then remembered."""
+    remembered = functools.lru_cache(maxsize=128)(f)
+
+    @functools.wraps(f)
+    def call(arm: "Arm", *arguments, **named):
+        return (remembered if arm._is_constant else f)(arm, *arguments, **named)
+
+    return cast(Function, call)
+
+
+@functools.lru_cache(maxsize=1024)
+def _lines(names: tuple[str, ...]) -> tuple[str, ...]:
+    """The names as one line each. Kept, because jax builds an arm anew whenever one enters a program."""
+    return tuple(map(text.line, names))
 
 
 @jax.tree_util.register_dataclass
@@ -69,6 +91,9 @@ class Arm:
 
     Of joints that are driven together it is the name of the one that leads.
     """
+    locked: tuple[int, ...] = dataclasses.field(default=(), kw_only=True, metadata={"static": True})
+    """The joints beyond the six that a pose asks for, counted from 0, at the ends of the arm. `solve` takes
+    their values, and the family solves those between. Empty where there are none."""
 
     kinds: str = dataclasses.field(metadata={"static": True})
     """The joints from base to tool, "R" (revolute) or "P" (prismatic) each."""
@@ -85,12 +110,13 @@ class Arm:
 
     def __post_init__(self):
         # Files name arms and joints, and names go into tables, errors and logs: there they are one line each.
-        object.__setattr__(self, "name", text.line(self.name))
-        object.__setattr__(self, "branches", tuple(map(text.line, self.branches)))
+        object.__setattr__(self, "name", _lines((self.name,))[0])
+        object.__setattr__(self, "branches", _lines(tuple(self.branches)))
         if self.joint_names is not None:
-            object.__setattr__(self, "joint_names", tuple(map(text.line, self.joint_names)))
-        # Whoever builds an arm may give a plain tuple.
-        object.__setattr__(self, "signs", named_signs(self.family, self.signs))
+            object.__setattr__(self, "joint_names", _lines(tuple(self.joint_names)))
+        if not hasattr(self.signs, "_fields"):
+            # Whoever builds an arm may give a plain tuple.
+            object.__setattr__(self, "signs", named_signs(self.family, self.signs))
 
     @staticmethod
     def from_dh(
@@ -109,6 +135,7 @@ class Arm:
         coupling: ArrayInput | None = None,
         correction: ArrayInput | None = None,
         axis_tolerance: float | None = None,
+        redundant: str | int | Sequence[str | int] | None = None,
         dtype: DTypeLike | None = None,
     ) -> "Arm":
         """An arm from its DH table; the closed form is recognized here, once.
@@ -134,12 +161,14 @@ class Arm:
             axis_tolerance: Axes that are parallel, perpendicular or meeting to this tolerance [rad, and as a
                 share of the arm's size] are recognized as such, and the rest becomes `correction`: for
                 calibrated tables. At most 0.02. None takes the table at its word.
+            redundant: Of more than six joints, the one (or those) at the ends whose value `solve` is given:
+                "joint7" or 7, counted from 1. By default those that leave the fastest closed form.
             dtype: Of the leaves; by default JAX's own (float64 when x64 is on).
 
         Raises:
             ValueError: A missing or wrong shape, a NaN, limits that cross, an unknown convention,
                 a named family that the arm does not belong to, `axis_tolerance` together with `correction`
-                or with traced numbers.
+                or with traced numbers, a `redundant` joint that does not leave six in a row.
 
         Warns:
             Where angles are probably in degrees or lengths in millimetres, and where rounded numbers keep
@@ -164,10 +193,12 @@ class Arm:
             "coupling": coupling,
         }
         leaves["correction"] = dh.check_correction(correction, n)
+        locked = None if redundant is None else lock.place(n, redundant, None)
         if axis_tolerance is None and correction is None and _spread_out(kinds, columns):
-            return _nearest(_axes_of(kinds, columns, T_flange_tool), leaves, 0.0, family, up, name, dtype)
+            axes = _axes_of(kinds, columns, T_flange_tool)
+            return _nearest(axes, leaves, 0.0, family, up, name, dtype, locked)
         if axis_tolerance is None:
-            arm = _built(kinds, leaves, family, up, name, dtype)
+            arm = _built(kinds, leaves, family, up, name, dtype, locked)
             if family is None:
                 _warn_of_rounded_twists(arm, leaves, up)
             return arm
@@ -176,7 +207,7 @@ class Arm:
         if is_traced(leaves):
             raise ValueError("axis_tolerance= needs concrete numbers: build the arm outside jit")
         return _nearest(
-            _axes_of(kinds, columns, T_flange_tool), leaves, axis_tolerance, family, up, name, dtype
+            _axes_of(kinds, columns, T_flange_tool), leaves, axis_tolerance, family, up, name, dtype, locked
         )
 
     @staticmethod
@@ -189,6 +220,7 @@ class Arm:
         coupling: ArrayInput | None = None,
         name: str | None = None,
         family: str | None = None,
+        redundant: str | int | Sequence[str | int] | None = None,
         dtype: DTypeLike | None = None,
     ) -> "Arm":
         """An arm from the joints between two links of a URDF file; needs the extra `urdf`.
@@ -208,6 +240,7 @@ class Arm:
             coupling: As in `from_dh`, for a file whose joints mimic no others.
             name: For people; by default that of the file.
             family, dtype: As in `from_dh`.
+            redundant: As in `from_dh`; also by the joint's name in the file.
 
         Warns:
             Where a revolute joint has no limits, an axis has no unit length, or the last joints look like a
@@ -233,7 +266,8 @@ class Arm:
         limits = dh.check_limits(ranges, given.kinds)
         leaves = {"limits": limits, "coupling": coupling, "base": np.eye(4)}
         up = -1 if given.along[0][2] < -1e-9 else 1
-        arm = _nearest(given, leaves, axis_tolerance, family, up, name or chain.name, dtype)
+        locked = None if redundant is None else lock.place(len(given.kinds), redundant, chain.motors)
+        arm = _nearest(given, leaves, axis_tolerance, family, up, name or chain.name, dtype, locked)
         return dataclasses.replace(arm, joint_names=chain.motors)
 
     @property
@@ -242,9 +276,28 @@ class Arm:
         return len(self.kinds)
 
     @property
+    def solved(self) -> range:
+        """The joints, counted from 0, that the family solves: all but those in `locked`."""
+        return lock.between(self.n, self.locked)
+
+    @property
+    def redundant(self) -> tuple[str, ...]:
+        """Names of the joints in `locked`, whose values `solve(redundancy=...)` is given."""
+        names = self.joint_names or lock.numbered(self.n)
+        return tuple(names[i] for i in self.locked)
+
+    @property
     def dtype(self) -> np.dtype:
         """Floating type of the leaves."""
         return self.alpha.dtype
+
+    @functools.cached_property
+    def _is_constant(self) -> bool:
+        """Whether no leaf can change: none is traced, or a numpy array that can be written."""
+        return not any(
+            leaf.flags.writeable if isinstance(leaf, np.ndarray) else isinstance(leaf, jax.core.Tracer)
+            for leaf in jax.tree.leaves(self)
+        )
 
     @property
     def complete(self) -> bool:
@@ -307,6 +360,7 @@ class Arm:
         """
         return constants(self)
 
+    @once_for_each_arm
     def split(self, whole: bool = False) -> tuple[tuple, list]:
         """The arm in two parts: what a program is compiled for, and the numbers that it is called with.
 
@@ -361,6 +415,11 @@ class Arm:
             leaves.append(leaf.reshape(shape))
         return jax.tree.unflatten(treedef, leaves)
 
+    @property
+    def is_joined(self) -> bool:
+        """Whether it comes from `join` with leaves of which some entries are known and others not."""
+        return any(getattr(leaf, "dtype", None) == np.dtype(object) for leaf in jax.tree.leaves(self))
+
     def __str__(self) -> str:
         return printing.paste(self)
 
@@ -369,13 +428,26 @@ class Arm:
 
 
 def _built(
-    kinds: str, leaves: dict, family: str | None, up: int, name: str, dtype, closed_form: bool = True
+    kinds: str,
+    leaves: dict,
+    family: str | None,
+    up: int,
+    name: str,
+    dtype,
+    locked: tuple[int, ...] | None,
+    closed_form: bool = True,
 ) -> Arm:
     """The arm of checked leaves in standard DH; its family is looked for where `closed_form` says so."""
-    verdict = recognize.recognize(kinds, leaves, family, up) if closed_form else recognize.NONE
+    if leaves["coupling"] is not None:
+        if locked is not None:
+            raise ValueError("redundant= is for arms without coupling")
+        locked = ()
+    verdict = recognize.NONE
+    if closed_form:
+        verdict = recognize.recognize(kinds, leaves, family, up, locked=locked)
     split = recognize.split_exactly(kinds, leaves, verdict)
     if split is not leaves:
-        leaves, verdict = split, recognize.recognize(kinds, split, family, up)
+        leaves, verdict = split, recognize.recognize(kinds, split, family, up, locked=verdict.locked)
     dtype = jnp.result_type(float) if dtype is None else dtype
     arrays: dict[str, Any] = {
         key: None if value is None else jnp.asarray(value, dtype) for key, value in leaves.items()
@@ -388,6 +460,7 @@ def _built(
         signs=verdict.signs,
         branches=verdict.branches,
         task=verdict.task,
+        locked=verdict.locked,
     )
 
 
@@ -415,7 +488,7 @@ def _warn_of_rounded_twists(arm: Arm, leaves: dict, up: int) -> None:
         return  # `solve` refuses it, and says the same
     rank = list(RULES).index
     for each in AXIS_LADDER[:1]:
-        faster = recognize.recognize(arm.kinds, leaves, None, up, each).family
+        faster = recognize.recognize(arm.kinds, leaves, None, up, each, arm.locked).family
         if faster is not None and rank(faster) < rank(arm.family):
             warn(
                 f"{arm.name} is taken as {arm.family}; but for rounded numbers it is {faster}, which is "
@@ -424,7 +497,14 @@ def _warn_of_rounded_twists(arm: Arm, leaves: dict, up: int) -> None:
 
 
 def _nearest(
-    given: Axes, leaves: dict, axis_tolerance: float | None, family, up: int, name: str, dtype
+    given: Axes,
+    leaves: dict,
+    axis_tolerance: float | None,
+    family,
+    up: int,
+    name: str,
+    dtype,
+    locked: tuple[int, ...] | None,
 ) -> Arm:
     """The arm of axes in space, its table made exact to the least tolerance that gives it a family.
 
@@ -443,7 +523,7 @@ def _nearest(
             break
         table = rewritten(given, each)
         numbers = {**table.columns, "tool": table.tool}
-        recognized = recognize.recognize(given.kinds, numbers, None, up).family
+        recognized = recognize.recognize(given.kinds, numbers, None, up, locked=locked).family
         # Axes that are made parallel for the size of the numbers may be off by more than was asked for.
         within = _largest(table.correction, numbers) <= 4 * each
         usable = recognized is not None and family in (None, recognized) and within
@@ -461,7 +541,7 @@ def _nearest(
         "tool": table.tool,
         "correction": None if small else table.correction,
     }
-    return _built(given.kinds, leaves, family, up, name, dtype, closed_form=best[0] < none)
+    return _built(given.kinds, leaves, family, up, name, dtype, locked, closed_form=best[0] < none)
 
 
 def _largest(correction: np.ndarray, columns: dict) -> float:

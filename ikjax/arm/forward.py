@@ -18,12 +18,11 @@ import numpy as np
 from ikjax.arm.arm import Arm, numbers
 from ikjax.core import pose as poses
 from ikjax.core import vector
-from ikjax.core.known import as_array
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Scalar, sincos
 from ikjax.core.typing import ArrayInput
 from ikjax.core.vector import plus, times
-from ikjax.core.xla import pin, pin_number
+from ikjax.core.xla import as_array, pin, pin_number
 
 
 class Link(NamedTuple):

@@ -49,6 +49,8 @@ def paste(arm) -> str:
     if np.isfinite(leaves["limits"]).any():
         pairs = ", ".join(f"({text(lo)}, {text(hi)})" for lo, hi in leaves["limits"])
         lines.append(f"    limits = [{pairs}],")
+    if arm.locked:
+        lines.append(f"    redundant = {[i + 1 for i in arm.locked]},")
     for key in ("base", "tool", "coupling", "correction"):
         if getattr(arm, key) is not None and not np.array_equal(leaves[key], np.eye(4)):
             rows = ", ".join("[" + ", ".join(text(v) for v in row) + "]" for row in leaves[key])

@@ -1,7 +1,9 @@
 """Run one command: from its arguments to its exit code."""
 
+import os
 import sys
 import warnings
+from pathlib import Path
 
 import jax
 
@@ -17,6 +19,8 @@ def main(argv=None) -> int:
         return int(finished.code or 0)
     # The library never sets this; the command is a program of its own, and has float64 where it is asked for.
     jax.config.update("jax_enable_x64", True)
+    if not options.no_cache:
+        _keep_programs()
     try:
         with warnings.catch_warnings():
             warnings.showwarning = lambda message, *_: print_error(with_flags(options, str(message)))
@@ -27,3 +31,17 @@ def main(argv=None) -> int:
     except (ValueError, OSError, ImportError) as error:
         print_error(with_flags(options, str(error)))
         return 2
+
+
+def _keep_programs() -> None:
+    """Keep compiled programs in the user's cache folder, unless another one is set.
+
+    Source: XDG Base Directory Specification; a relative XDG_CACHE_HOME is ignored.
+    """
+    if jax.config.values["jax_compilation_cache_dir"]:
+        return
+    folder = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    home = folder if folder.is_absolute() else Path.home() / ".cache"
+    jax.config.update("jax_compilation_cache_dir", str(home / "ikjax"))
+    # Many small programs take longer together than one that compiles for a second.
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)

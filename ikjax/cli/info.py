@@ -41,7 +41,9 @@ def run_solve(options) -> int:
     turn = {form: getattr(options, form) for form in ("rpy", "wxyz", "xyzw", "rotvec")}
     goal = ikjax.pose(options.xyz, **turn, dtype=dtype)
     ikjax.check_goals(arm, goal)
-    sol = ikjax.solve(arm, goal, q_now=options.q_now)
+    given = options.redundancy
+    given = given[0] if given is not None and len(given) == 1 else given
+    sol = ikjax.solve(arm, goal, q_now=options.q_now, redundancy=given)
     inside = ikjax.within_limits(arm, sol, options.q_now)
     angle = ("rad", 1.0, 4) if options.radians else ("deg", 180 / np.pi, 2)
     units = [angle if kind == "R" else ("mm", 1000.0, 1) for kind in arm.kinds]

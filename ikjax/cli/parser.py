@@ -56,6 +56,7 @@ def build_parser() -> argparse.ArgumentParser:
     def command(run, name: str, text: str) -> argparse.ArgumentParser:
         parser = commands.add_parser(name, help=text, description=text)
         parser.add_argument("--json", action="store_true", help="print one JSON object")
+        parser.add_argument("--no-cache", action="store_true", help="do not keep compiled programs")
         parser.set_defaults(run=run)
         return parser
 
@@ -73,6 +74,7 @@ def build_parser() -> argparse.ArgumentParser:
     turn.add_argument("--xyzw", nargs=4, type=float, metavar=("X", "Y", "Z", "W"))
     turn.add_argument("--rotvec", nargs=3, type=float, metavar=("X", "Y", "Z"), help="[rad]")
     solve.add_argument("--q-now", nargs="+", type=float, help="present joints [rad]: arbitrary ones stay")
+    solve.add_argument("--redundancy", nargs="+", type=float, help="values of redundant joints [rad, m]")
     solve.add_argument("--limits", action="store_true", help="only what is within the joint limits counts")
     solve.add_argument("--radians", action="store_true", help="print radians, not degrees")
     _add_dtype(solve, "--float32")

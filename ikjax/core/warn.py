@@ -63,11 +63,13 @@ def _beyond(values, most: float, columns: list[bool]) -> float | None:
     """
     if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(values)):
         return None
-    array = values if isinstance(values, jax.Array) else np.asarray(values, float)
-    # An array that a jit captures is concrete, but a slice of it would be traced without this.
-    with jax.ensure_compile_time_eval():
-        rows = array.reshape(-1, len(columns))[: MOST_LOOKED_AT // len(columns)]
-    sizes = np.abs(np.asarray(rows, float))[:, columns]
+    rows = values
+    if isinstance(values, jax.Array) and values.size > MOST_LOOKED_AT:
+        # An array that a jit captures is concrete, but a slice of it would be traced without this.
+        with jax.ensure_compile_time_eval():
+            rows = values.reshape(-1, len(columns))[: MOST_LOOKED_AT // len(columns)]
+    rows = np.asarray(rows, float).reshape(-1, len(columns))[: MOST_LOOKED_AT // len(columns)]
+    sizes = np.abs(rows)[:, columns]
     # A turn that a file has rounded up is still a turn.
     sizes = sizes[(sizes > most * (1 + 1e-6) + 1e-3) & (sizes < UNIT_MISTAKE)]
     return float(sizes[0]) if len(sizes) else None

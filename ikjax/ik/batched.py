@@ -1,14 +1,18 @@
 """Eager calls: goals in blocks of one size that fit the cache.
 
-There is one program, whatever the number of goals. So the bits of an answer depend on its goal alone, and a
-new number of goals compiles no new kernel. A block is too small for XLA to divide among threads; so several
-pieces, of a few blocks each, run at once, on as many threads as the process has cores.
+More goals than `FEW` are solved by one program, whatever their number. So the bits of an answer depend on its
+goal alone, and a new number of goals compiles no new kernel. A block is too small for XLA to divide among
+threads; so several pieces, of a few blocks each, run at once, on as many threads as the process has cores.
+
+A control loop has one goal, or a few. Up to `FEW` are one small block, and one is a program of its own. XLA
+rounds differently in programs of other shapes: the masks of the three agree, the numbers to rounding.
 
 The arm's zeros and ones are known while tracing (`Arm.split`); its other numbers are arguments.
 """
 
 import dataclasses
 import functools
+import math
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -18,16 +22,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ikjax.arm.arm import Arm
+from ikjax.arm.arm import Arm, once_for_each_arm
 from ikjax.core import cores
-from ikjax.core.xla import divider, pinning, to_columns, to_rows, wide_vectors
-from ikjax.ik.inline import FIELDS, Entries, from_rows, rows_of, slots_of
+from ikjax.core.xla import constant, divider, pinning, to_columns, to_rows, wide_vectors
+from ikjax.ik.inline import FIELDS, Entries, from_rows, parts, rows_of, slots_of
 from ikjax.ik.results import Solutions
 
 BLOCK, BLOCKS = 4096, 4
 """Goals in a block, and blocks in a piece."""
 
 PIECE = BLOCK * BLOCKS
+
+FEW = 64
+"""The most goals of a call that is one small block."""
 
 THREADS = cores.usable()
 """Pieces that run at once."""
@@ -36,13 +43,62 @@ AHEAD = 4
 """Pieces that may be running while the first of them is copied into the result."""
 
 
-def solve_blocks(
-    arm: Arm, goals: jax.Array, q_now: jax.Array | None, pose_tolerance: float | None
+def solve_eagerly(
+    arm: Arm,
+    goals: jax.Array,
+    q_now: jax.Array | None,
+    pose_tolerance: float | None,
+    redundancy: jax.Array | None,
 ) -> Solutions:
-    """`Solutions` of goals (N, 4, 4) and q_now (N, n); the bits of a row depend on that row alone."""
-    # The limits do not enter the solutions: with zeros, arms that differ in their limits share a program.
-    arm = dataclasses.replace(arm, limits=np.zeros((arm.n, 2), arm.dtype))
-    return map_blocks(SolveBlock(pose_tolerance), arm, (goals, q_now))
+    """`Solutions` of goals (..., 4, 4), q_now (..., n) and redundancy (..., k).
+
+    The bits of a row depend on that row alone.
+    """
+    inputs = goals, q_now, redundancy
+    return map_rows(SolveBlock(pose_tolerance), without_limits(arm), inputs, goals.shape[:-2])
+
+
+@once_for_each_arm
+def without_limits(arm: Arm) -> Arm:
+    """The arm with limits of zero: where limits do not enter, arms that differ in them share a program."""
+    return dataclasses.replace(arm, limits=constant(np.zeros((arm.n, 2), arm.dtype)))
+
+
+def map_rows(block: Callable[..., Any], arm: Arm, inputs, batch: tuple[int, ...]):
+    """`map_blocks` of inputs (*batch, ...), which gives its result the same batch axes; fast for few rows."""
+    count = math.prod(batch)
+
+    def rows(x):
+        return x.reshape(count, *x.shape[len(batch) :])
+
+    if count > FEW or count == 0:
+        result = map_blocks(block, arm, jax.tree.map(rows, inputs))
+        return jax.tree.map(lambda x: x.reshape(*batch, *x.shape[1:]), result)
+    known, rest = parts(arm)
+    # In numpy, because each call of jax costs as much as the whole program of one goal.
+    inputs = jax.tree.map(lambda x: rows(np.asarray(x)), inputs)
+    if count == 1:
+        return _few_program()(block, known, batch, rest, inputs)
+    inputs = jax.tree.map(lambda x: np.pad(x, [(0, FEW - count), *[(0, 0)] * (x.ndim - 1)]), inputs)
+    return _first_rows(_few_program()(block, known, (FEW,), rest, inputs), batch)
+
+
+@functools.cache
+def _few_program() -> Callable[..., Any]:
+    """The program of one block. Not made at import: the compiler's options depend on the devices, and to
+    ask for these is what `jax.distributed.initialize` and a fork must come before."""
+    return jax.jit(_few, static_argnums=(0, 1, 2), compiler_options=wide_vectors())
+
+
+def _few(block, known, batch: tuple[int, ...], rest, inputs):
+    """One block of as many rows as the batch has, with its axes."""
+    return _first_rows(block(Arm.join(known, rest), inputs), batch)
+
+
+@functools.partial(jax.jit, static_argnums=1)
+def _first_rows(whole, batch: tuple[int, ...]):
+    """As many rows as the batch has, with its axes."""
+    return jax.tree.map(lambda x: x[: math.prod(batch)].reshape(*batch, *x.shape[1:]), whole)
 
 
 def map_blocks(block: Callable[..., Any], arm: Arm, inputs):
@@ -58,8 +114,7 @@ def map_blocks(block: Callable[..., Any], arm: Arm, inputs):
         The rows of all blocks, a tree of arrays (N, ...).
     """
     count = jax.tree.leaves(inputs)[0].shape[0]
-    known, rest = arm.split()
-    rest = [jnp.asarray(leaf) for leaf in rest]
+    known, rest = parts(arm)
     inputs = jax.tree.map(_padded, inputs)
     leaves, form = jax.tree.flatten((rest, _cut(inputs, 0, PIECE)))
     kernel = _compiled(block, known, form, tuple((x.shape, x.dtype.name) for x in leaves))
@@ -136,25 +191,26 @@ def _piece(block, known, rest, inputs, blocks):
 
 
 def entries_in(goals: jax.Array) -> Entries:
-    """The sixteen numbers of a block of goals (BLOCK, 4, 4), each an array (BLOCK,)."""
+    """The sixteen numbers of a block of goals (N, 4, 4), each an array (N,)."""
     columns = to_columns(goals)
     return tuple(tuple(columns[4 * i + j] for j in range(4)) for i in range(4))
 
 
 @dataclasses.dataclass(frozen=True)
 class SolveBlock:
-    """`solve` of one block: its rows are goals (BLOCK, 4, 4), and q_now (BLOCK, n) or None."""
+    """`solve` of one block: rows of goals (N, 4, 4), q_now (N, n) or None, redundancy (N, k) or None."""
 
     pose_tolerance: float | None
 
     def __call__(self, arm: Arm, rows) -> Solutions:
-        goals, q_now = rows
+        goals, q_now, redundancy = rows
+        count = goals.shape[0]
         entries = entries_in(goals)
         with pinning(divider(entries[0][3])):
-            stacked = rows_of(arm, entries, q_now, self.pose_tolerance)
-            if stacked is not None:
-                return from_rows(stacked)
-            slots = slots_of(arm, entries, q_now, self.pose_tolerance)
-        q = to_rows([x for slot in slots for x in slot.q], BLOCK).reshape(BLOCK, len(slots), arm.n)
-        rest = {name: to_rows([getattr(slot, name) for slot in slots], BLOCK) for name in FIELDS}
-        return Solutions(q=q, is_pose=jnp.broadcast_to(slots[0].is_pose, (BLOCK,)), **rest)
+            rows = rows_of(arm, entries, q_now, self.pose_tolerance, redundancy)
+            if rows is not None:
+                return from_rows(rows)
+            slots = slots_of(arm, entries, q_now, self.pose_tolerance, redundancy)
+        q = to_rows([x for slot in slots for x in slot.q], count).reshape(count, len(slots), arm.n)
+        rest = {name: to_rows([getattr(slot, name) for slot in slots], count) for name in FIELDS}
+        return Solutions(q=q, is_pose=jnp.broadcast_to(slots[0].is_pose, (count,)), **rest)

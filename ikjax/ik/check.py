@@ -9,7 +9,7 @@ from jax.typing import ArrayLike
 
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import reach
-from ikjax.arm.recognition import recognize
+from ikjax.arm.recognition import lock, recognize
 from ikjax.core.tolerances import MILLIMETRES, NEARLY_ROTATION, ROTATION, VALID
 from ikjax.core.warn import warn
 from ikjax.ik.refusal import refusal, what_was_found
@@ -92,6 +92,24 @@ _CLAMPED = (
 _SCATTERED = f"project starts from 64 fixed joints spread over the limits: {_MINIMUM_IS_LOCAL}"
 
 
+def _other_locks(arm: Arm) -> list[str]:
+    """What other redundant joints would leave."""
+    if not arm.locked:
+        return []
+    names = arm.joint_names or lock.numbered(arm.n)
+    numbers = {key: np.asarray(getattr(arm, key)) for key in ("a", "alpha", "d", "theta")}
+    lines = ["The joints between are six, counted from the first of them in what follows. Instead:"]
+    for locked in lock.choices(arm.n):
+        if locked == arm.locked:
+            continue
+        family = recognize.recognize(
+            arm.kinds, numbers, tolerance=recognize.tolerance_of(arm.dtype), locked=locked
+        ).family
+        given = " and ".join(names[i] for i in locked)
+        lines.append(f"  {given} given: {family or 'no closed form here'}")
+    return lines
+
+
 def explain(arm: Arm) -> str:
     """Which closed form solves the arm, why, and what its branches are, as text to print.
 
@@ -100,9 +118,11 @@ def explain(arm: Arm) -> str:
     if arm.family is None:
         return f"{refusal(arm)}.\n{what_was_found(arm)}\n{_SCATTERED}"
     rule = recognize.RULES[arm.family]
-    lines = [f"{arm.name} is solved by {arm.family}: {rule.summary}.", "Because:"]
+    given = f", {' and '.join(arm.redundant)} given" if arm.locked else ""
+    lines = [f"{arm.name} is solved by {arm.family}{given}: {rule.summary}.", *_other_locks(arm), "Because:"]
     numbers = {key: np.asarray(getattr(arm, key)) for key in ("a", "alpha", "d", "theta", "tool")}
-    checks = recognize.evidence(arm.kinds, numbers, arm.family, recognize.tolerance_of(arm.dtype))
+    tolerance = recognize.tolerance_of(arm.dtype)
+    checks = recognize.evidence(arm.kinds, numbers, arm.family, tolerance, arm.locked)
     for check in checks:
         mark = "yes" if check.holds else "NO"
         lines.append(f"  {mark:3} {check.fact}: {check.deviation:.2g}")
@@ -122,7 +142,8 @@ def explain(arm: Arm) -> str:
         lines.append("complete = False: beside its folds the arm as given may have solutions in no slot.")
     if arm.coupling is not None:
         lines.append("Joints are coupled: q holds motor values.")
-    lines.append(_NEAREST_IS_CLOSED_FORM if FAMILIES[arm.family].nearest else _CLAMPED)
+    nearest = _NEAREST_IS_CLOSED_FORM if FAMILIES[arm.family].nearest else _CLAMPED
+    lines.append(_SCATTERED if arm.locked else nearest)
     lines.append(f"Branches ({len(arm.branches)}):")
     lines += [f"  {slot}  {name}" for slot, name in enumerate(arm.branches)]
     return "\n".join(lines)

@@ -15,20 +15,20 @@ is too large for one fused loop is traced once, pinned.
 
 import functools
 import math
+import operator
 from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from ikjax.arm.arm import Arm
+from ikjax.arm.arm import Arm, once_for_each_arm
 from ikjax.arm.forward import reach
-from ikjax.core.known import is_traced
 from ikjax.core.pose import Pose, clean
-from ikjax.core.xla import AgreedRoots, divider, hidden, pinning, through_one_number
+from ikjax.core.xla import AgreedRoots, divider, hidden, is_traced, pinning, stored, through_one_number
 from ikjax.ik.results import Solutions
 from ikjax.solvers.families import FAMILIES
-from ikjax.solvers.pipeline import Slot, solve_rows, solve_scalars
+from ikjax.solvers.pipeline import Slot, each_slot, solve_rows, solve_scalars
 
 FIELDS = ("valid", "margin", "continuum", "position_error", "rotation_error")
 
@@ -43,7 +43,11 @@ def entries_of(goals: jax.Array) -> Entries:
 
 
 def slots_of(
-    arm: Arm, entries: Entries, q_now: jax.Array | None, pose_tolerance: float | None
+    arm: Arm,
+    entries: Entries,
+    q_now: jax.Array | None,
+    pose_tolerance: float | None,
+    redundancy: jax.Array | None = None,
 ) -> tuple[Slot, ...]:
     """Every slot of every goal, measured by forward kinematics; each field is one array (...).
 
@@ -52,19 +56,34 @@ def slots_of(
         entries: The goals' numbers.
         q_now: (..., n) joint values for joints that are arbitrary; zero where it is None.
         pose_tolerance: See `solve`.
+        redundancy: (..., k) values of the joints in `Arm.locked`; None where there are none.
     """
     goal, proper = _proper(arm, entries)
-    slots = solve_scalars(arm, goal, _fallback(arm, q_now), pose_tolerance)
-    return tuple(_masked(arm, slot, proper) for slot in slots)
+    free, finite = _finite(arm, redundancy)
+    slots = solve_scalars(arm, goal, _fallback(arm, q_now), pose_tolerance, free)
+    mask = _mask(arm, proper, finite, entries[0][3].dtype)
+    return tuple(map(mask, slots))
 
 
-def rows_of(arm: Arm, entries: Entries, q_now: jax.Array | None, pose_tolerance: float | None) -> Slot | None:
+def rows_of(
+    arm: Arm,
+    entries: Entries,
+    q_now: jax.Array | None,
+    pose_tolerance: float | None,
+    redundancy: jax.Array | None = None,
+) -> Slot | None:
     """As `slots_of`, but with the slots as the first axis of one; None where the family has no such form."""
     if FAMILIES[str(arm.family)].stacked is None:
         return None
     goal, proper = _proper(arm, entries)
-    rows = solve_rows(arm, goal, _fallback(arm, q_now), pose_tolerance)
-    return _masked(arm, rows, proper[None])._replace(is_pose=proper)
+    free, finite = _finite(arm, redundancy)
+    rows = solve_rows(arm, goal, _fallback(arm, q_now), pose_tolerance, free)
+    finite = None if finite is None else finite[None]
+    return _mask(arm, proper[None], finite, entries[0][3].dtype)(rows)._replace(is_pose=proper)
+
+
+def _fallback(arm: Arm, q_now: jax.Array | None) -> tuple[jax.Array, ...] | None:
+    return None if q_now is None else tuple(q_now[..., i] for i in range(arm.n))
 
 
 def _proper(arm: Arm, entries: Entries) -> tuple[Pose, jax.Array]:
@@ -76,33 +95,62 @@ def _proper(arm: Arm, entries: Entries) -> tuple[Pose, jax.Array]:
     return goal, proper
 
 
-def _fallback(arm: Arm, q_now: jax.Array | None) -> tuple[jax.Array, ...] | None:
-    return None if q_now is None else tuple(q_now[..., i] for i in range(arm.n))
+def _finite(arm: Arm, redundancy: jax.Array | None) -> tuple[tuple[jax.Array, ...], jax.Array | None]:
+    """The values of locked joints, zero in place of those that are not finite, and where all of them are."""
+    if redundancy is None:
+        return (), None
+    given = tuple(redundancy[..., j] for j in range(len(arm.locked)))
+    finite = functools.reduce(operator.and_, map(jnp.isfinite, given))
+    return tuple(jnp.where(finite, value, 0) for value in given), finite
 
 
-def _masked(arm: Arm, slot: Slot, proper: jax.Array) -> Slot:
-    """The slot; a goal that is no pose gets the largest errors, without derivatives."""
-    size = jax.lax.stop_gradient(jnp.asarray(reach(arm), slot.margin.dtype))
-    return slot._replace(
-        valid=slot.valid & proper,
-        margin=jnp.where(proper, slot.margin, -size),
-        continuum=slot.continuum & proper,
-        position_error=jnp.where(proper, slot.position_error, size),
-        rotation_error=jnp.where(proper, slot.rotation_error, math.pi),
-        is_pose=proper,
-    )
+def _mask(arm: Arm, proper: jax.Array, finite: jax.Array | None, dtype) -> Callable[[Slot], Slot]:
+    """What masks a slot where its goal is no pose, or a redundant joint not finite."""
+    # A goal that is no pose gets the largest errors, without derivatives.
+    size = jax.lax.stop_gradient(jnp.asarray(reach(arm), dtype))
+
+    def masked(slot: Slot) -> Slot:
+        slot = slot._replace(
+            valid=slot.valid & proper,
+            margin=jnp.where(proper, slot.margin, -size),
+            continuum=slot.continuum & proper,
+            position_error=jnp.where(proper, slot.position_error, size),
+            rotation_error=jnp.where(proper, slot.rotation_error, math.pi),
+            is_pose=proper,
+        )
+        if finite is None:
+            return slot
+        return slot._replace(
+            valid=slot.valid & finite,
+            margin=jnp.where(finite, slot.margin, -size),
+            continuum=slot.continuum & finite,
+        )
+
+    return masked
 
 
 def is_small(arm: Arm) -> bool:
-    """Whether the arm's kernel can be one fused loop. It cannot where the arm's zeros and ones are traced."""
-    return FAMILIES[str(arm.family)].small and arm.correction is None and not is_traced(arm)
+    """Whether the arm's kernel can be one fused loop.
+
+    It cannot where the arm's zeros and ones are traced, nor where base or tool differ from goal to goal.
+    """
+    small = FAMILIES[str(arm.family)].small and not arm.locked
+    return small and arm.correction is None and not is_traced(arm)
 
 
-def jit_with_arm(f: Callable[..., Any]) -> Callable[..., Any]:
+@once_for_each_arm
+def parts(arm: Arm) -> tuple[tuple, list[jax.Array]]:
+    """The parts of `Arm.split` of an arm of constants, the second one where the computation is."""
+    known, rest = arm.split()
+    return known, [jnp.asarray(leaf) for leaf in rest]
+
+
+def jit_with_arm(f: Callable[..., Any], whole: bool = False) -> Callable[..., Any]:
     """`jax.jit` of f(arm, *arrays) in which those of the arm's numbers that are known stay known.
 
-    Called eagerly, one program serves all arms of the same zeros, ones and twists. Within an outer jit, or
-    under `grad` and `vmap`, all leaves that are not traced are constants of the program.
+    Called eagerly, one program serves all arms of the same zeros, ones and twists; where `whole` is set, one
+    arm. Within an outer jit, or under `grad` and `vmap`, all leaves that are not traced are constants of the
+    program.
     """
 
     @functools.partial(jax.jit, static_argnums=0, inline=True)
@@ -113,22 +161,30 @@ def jit_with_arm(f: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(f)
     def call(arm: Arm, *arrays):
-        return of_known(*arm.split(whole=is_traced((arm, arrays))), *arrays)
+        as_constants = whole or is_traced((arm, arrays))
+        return of_known(*(arm.split(whole=True) if as_constants else parts(arm)), *arrays)
 
     return call
 
 
 def solve_inline(
-    arm: Arm, goals: jax.Array, q_now: jax.Array | None, pose_tolerance: float | None
-) -> Solutions:
-    """`Solutions` of goals (..., 4, 4) as a plain elementwise graph, without derivatives."""
-    entries, policy = entries_of(goals), divider(goals[..., 0, 3])
+    arm: Arm,
+    goals: jax.Array,
+    q_now: jax.Array | None,
+    pose_tolerance: float | None,
+    redundancy: jax.Array | None = None,
+) -> tuple[Solutions, tuple[Slot, ...]]:
+    """`Solutions` of goals (..., 4, 4) as a plain elementwise graph, without derivatives, and their slots."""
+    entries = entries_of(goals)
+    columns = stored(entries)
+    policy = divider(columns[0][3])
     if not is_small(arm):
         with pinning(policy):
-            rows = rows_of(arm, entries, q_now, pose_tolerance)
+            rows = rows_of(arm, columns, q_now, pose_tolerance, redundancy)
             if rows is not None:
-                return from_rows(rows)
-            return gathered(slots_of(arm, entries, q_now, pose_tolerance), goals.shape[:-2])
+                return from_rows(rows), each_slot(rows)
+            slots = slots_of(arm, columns, q_now, pose_tolerance, redundancy)
+        return gathered(slots, goals.shape[:-2]), slots
     roots = AgreedRoots(policy)
     hidden_entries = hidden(entries, goals[..., 0, 3])
     with pinning(None), roots.recorded():
@@ -136,10 +192,10 @@ def solve_inline(
     with pinning(None), roots.replayed():
         unpinned = slots_of(arm, entries, q_now, pose_tolerance)
     with pinning(policy), roots.replayed():
-        pinned = slots_of(arm, entries, q_now, pose_tolerance)
+        pinned = slots_of(arm, columns, q_now, pose_tolerance)
     flags = {name: [getattr(slot, name) for slot in unpinned] for name in ("valid", "continuum")}
-    masks = {name: _mask(values, goals) for name, values in flags.items()}
-    return gathered(pinned, goals.shape[:-2], **masks)
+    masks = {name: mask_of(values, goals[..., 0, 3]) for name, values in flags.items()}
+    return gathered(pinned, goals.shape[:-2], **masks), pinned
 
 
 def gathered(slots: tuple[Slot, ...], shape: tuple[int, ...], **instead: jax.Array) -> Solutions:
@@ -160,8 +216,18 @@ def from_rows(slot: Slot) -> Solutions:
     return Solutions(q=q, is_pose=is_pose, **{f: jnp.moveaxis(getattr(slot, f), 0, -1) for f in FIELDS})
 
 
-def _mask(flags: list[jax.Array], goals: jax.Array) -> jax.Array:
+def slots_as_array(slots: list[list[Any]]) -> jax.Array:
+    """S lists of n numbers (...) as q (..., S, n)."""
+    return jnp.stack([jnp.stack(slot, axis=-1) for slot in slots], axis=-2)
+
+
+def joints_of(q: jax.Array) -> list[list[jax.Array]]:
+    """The joints of q (..., S, n) as S lists of n numbers (...)."""
+    return [[q[..., s, i] for i in range(q.shape[-1])] for s in range(q.shape[-2])]
+
+
+def mask_of(flags: list[jax.Array], like: jax.Array) -> jax.Array:
     """S flags (...) as one array (..., S), read from the bits of one number for each goal."""
-    code = through_one_number(flags, goals, goals.shape[:-2], divider(goals[..., 0, 3]))
-    places = jnp.arange(len(flags), dtype=jnp.int32).reshape((1,) * (goals.ndim - 2) + (-1,))
+    code = through_one_number(flags, like, like.shape, divider(like))
+    places = jnp.arange(len(flags), dtype=jnp.int32).reshape((1,) * like.ndim + (-1,))
     return (code[..., None] >> places & 1) == 1

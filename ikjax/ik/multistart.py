@@ -19,11 +19,20 @@ from jax.typing import ArrayLike
 
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import reach, whole_turns
-from ikjax.core.known import as_array, is_traced, stop_gradient
 from ikjax.core.pose import Pose, nearest_pose
 from ikjax.core.tolerances import CONVERGED, NEARLY_ROTATION
 from ikjax.core.trig import Scalar
-from ikjax.core.xla import Pin, divider_once, one_by_one, pinning, to_columns, to_rows
+from ikjax.core.xla import (
+    Pin,
+    as_array,
+    divider_once,
+    is_traced,
+    one_by_one,
+    pinning,
+    stop_gradient,
+    to_columns,
+    to_rows,
+)
 from ikjax.ik import batched, lexicographic, newton
 from ikjax.ik.inline import Entries, entries_of
 from ikjax.ik.newton import Joints, bounds
@@ -65,17 +74,18 @@ def checked_arguments(arm: Arm, goals, characteristic_length, steps: int) -> tup
 # The starts.
 
 
-def closed_form_starts(arm: Arm, goal: Pose, policy: Pin) -> Joints:
+def closed_form_starts(arm: Arm, goal: Pose, policy: Pin, free: Joints = ()) -> Joints:
     """The joints of every branch of the closed form, each (S, ...).
 
     Args:
         arm: An arm with a family.
         goal: T_world_tool.
         policy: Pins values that have the shape of the goal's numbers.
+        free: The values of the joints in `Arm.locked`.
     """
     shape = goal.position[0].shape
     with pinning(policy):
-        columns = zip(*proposed(arm, goal), strict=True)
+        columns = zip(*proposed(arm, goal, free), strict=True)
     return tuple(jnp.stack([jnp.broadcast_to(x, shape) for x in column]) for column in columns)
 
 
@@ -100,7 +110,7 @@ class _StartsAtLimitsBlock:
 
     def __call__(self, arm: Arm, goals: jax.Array) -> jax.Array:
         rows = _starts_at_limits(arm, batched.entries_in(goals))
-        return to_rows([x for row in rows for x in row], batched.BLOCK).reshape(-1, len(rows), arm.n)
+        return to_rows([x for row in rows for x in row], goals.shape[0]).reshape(-1, len(rows), arm.n)
 
 
 def _starts_at_limits(arm: Arm, entries: Entries) -> list[tuple[jax.Array, ...]]:
@@ -129,7 +139,10 @@ def sampling_ranges(arm: Arm) -> tuple[jax.Array, jax.Array]:
     Between two limits the whole range; of a joint whose whole turn leaves the pose, one turn in the middle of
     it. From a single limit one turn, or two reaches for a slide; without limits as much, about zero.
     """
-    low, high = (jnp.asarray(arm.limits)[:, k] for k in (0, 1))
+    low, high = (
+        jnp.stack([jnp.asarray(limit, arm.dtype) for limit in ends])
+        for ends in zip(*bounds(arm), strict=True)
+    )
     size = jnp.asarray(reach(arm), arm.dtype)
     size = jnp.where(size > 0, size, 1)  # of slides alone, whose table has no lengths
     half = jnp.stack([jnp.asarray(np.pi, arm.dtype) if kind == "R" else size for kind in arm.kinds])
@@ -205,6 +218,9 @@ def descend_all(
         jnp.stack([starts_last(x) for x in joints], axis=-1) for joints in (ends.q, ends.minimizer)
     )
     fields = {name: starts_last(getattr(ends, name)) for name in FIELDS}
+    if arm.is_joined:
+        # In the program of an eager call, which has no derivatives.
+        return Projection(q=q, **fields)
     q, errors = with_derivatives(arm, goals, q, minimizer, length, fields["converged"], priority)
     return Projection(q=q, **{**fields, **errors})
 
@@ -268,8 +284,8 @@ class _DescentBlock:
 
         ends = one_by_one(descend_one, (starts, damping))
         count = ends.cost.shape[0]
-        fields = {name: to_rows(list(getattr(ends, name)), batched.BLOCK) for name in (*FIELDS, "damping")}
-        q = to_rows([x[s] for s in range(count) for x in ends.q], batched.BLOCK)
+        fields = {name: to_rows(list(getattr(ends, name)), goals.shape[0]) for name in (*FIELDS, "damping")}
+        q = to_rows([x[s] for s in range(count) for x in ends.q], goals.shape[0])
         return {**fields, "q": q.reshape(-1, count, arm.n)}
 
 
@@ -281,8 +297,8 @@ class _ClosedFormBlock:
         goals, length = rows
         entries = batched.entries_in(goals)
         slots = closed_form(arm, entries, length[:, 0])
-        fields = {name: to_rows([getattr(slot, name) for slot in slots], batched.BLOCK) for name in FIELDS}
-        q = to_rows([x for slot in slots for x in slot.q], batched.BLOCK)
+        fields = {name: to_rows([getattr(slot, name) for slot in slots], goals.shape[0]) for name in FIELDS}
+        q = to_rows([x for slot in slots for x in slot.q], goals.shape[0])
         return {**fields, "q": q.reshape(-1, len(slots), arm.n)}
 
 

@@ -3,13 +3,20 @@
 The closed form finds the basins, and Newton's method goes to their minima.
 """
 
+import functools
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
 from ikjax.arm.arm import Arm
-from ikjax.core.known import as_array, stop_gradient
+from ikjax.core.xla import as_array, is_traced, stop_gradient
+from ikjax.ik.batched import FEW
+from ikjax.ik.inline import jit_with_arm
 from ikjax.ik.lexicographic import checked_priority
 from ikjax.ik.multistart import (
     STEPS,
@@ -76,21 +83,56 @@ def project(
     if extra_starts is not None and extra_starts < 0:
         raise ValueError(f"extra_starts must not be negative, got {extra_starts}")
     priority = checked_priority(arm, priority)
-    extra = _extra_starts(arm, goals, steps, extra_starts, priority)
-    return with_best(
-        arm, goals, _descend(arm, goals, characteristic_length, steps, extra, priority), priority
-    )
+    options = Options(priority, steps, _further_starts(arm, steps, extra_starts, priority))
+    length = as_array(characteristic_length, goals.dtype)
+    batch = goals.shape[:-2]
+    if is_traced((arm, goals, length)) or not 0 < math.prod(batch) <= FEW:
+        return _project(options, arm, goals, length)
+    # All starts of a goal are a batch that is large enough, and one program for any number of goals.
+    one = _of_one_goal(options)
+    if not batch:
+        return one(arm, goals, length)
+    rows = [one(arm, goal, length) for goal in np.asarray(goals).reshape(-1, 4, 4)]
+    return jax.tree.map(lambda *xs: jnp.asarray(np.stack(xs).reshape(*batch, *xs[0].shape)), *rows)
 
 
-def _extra_starts(arm: Arm, goals: jax.Array, steps: int, count: int | None, priority: str) -> jax.Array:
-    """The starts beside the branches, (..., S, n)."""
-    if count is None:
-        astray = arm.family is not None and steps > 0 and _branches_may_miss(arm)
-        if astray and priority == "weighted" and FAMILIES[str(arm.family)].locked:
-            return starts_at_limits(arm, goals)
-        many = SCATTERED if arm.family is None or priority != "weighted" else EXTRA
-        count = many if astray or arm.family is None else 0
-    return scattered_starts(arm, goals.shape[:-2], count)
+class Options(NamedTuple):
+    """Arguments of `project` that its program is compiled for."""
+
+    priority: str
+    steps: int
+    scattered: int | None
+    """Starts that are spread over the limits; None for those with a joint at a limit."""
+
+
+@functools.cache
+def _of_one_goal(options: Options) -> Callable[[Arm, ArrayLike, ArrayLike], Projection]:
+    """The program of one goal, with a while loop that ends when all its starts have converged."""
+    return jit_with_arm(functools.partial(_project, options))
+
+
+def _project(options: Options, arm: Arm, goals: jax.Array, length: jax.Array) -> Projection:
+    """`project` of checked arguments."""
+    priority, steps, count = options
+    batch = goals.shape[:-2]
+    extra = starts_at_limits(arm, goals) if count is None else scattered_starts(arm, batch, count)
+    return with_best(arm, goals, _descend(arm, goals, length, steps, extra, priority), priority)
+
+
+def _further_starts(arm: Arm, steps: int, count: int | None, priority: str) -> int | None:
+    """How many starts beside the branches are spread over the limits; None for those at the limits."""
+    if count is not None:
+        return count
+    astray = _has_branches(arm) and steps > 0 and _branches_may_miss(arm)
+    if astray and priority == "weighted" and FAMILIES[str(arm.family)].locked:
+        return None
+    many = EXTRA if _has_branches(arm) and priority == "weighted" else SCATTERED
+    return many if astray or not _has_branches(arm) else 0
+
+
+def _has_branches(arm: Arm) -> bool:
+    """Whether the closed form has starts for a goal alone; with redundant joints it wants their values."""
+    return arm.family is not None and not arm.locked
 
 
 def _branches_may_miss(arm: Arm) -> bool:
@@ -104,13 +146,12 @@ def _descend(
     arm: Arm, goals: jax.Array, characteristic_length, steps: int, extra: jax.Array, priority: str
 ) -> Projection:
     """All branches and the extra starts after their descent, fields (..., S)."""
-    if arm.family is None:
+    if not _has_branches(arm):
         return descend_all(arm, goals, extra, characteristic_length, steps, priority)
-    if priority != "weighted" and steps:
-        # The closed form once for all priorities, and all starts in one program.
-        length = as_array(characteristic_length, goals.dtype)
-        fixed_arm, fixed_goals, fixed_length = stop_gradient((arm, goals, length))
-        closed_form = descend_all(fixed_arm, fixed_goals, None, fixed_length, 0).q
+    if steps and (priority != "weighted" or is_traced((arm, goals, extra, characteristic_length))):
+        # All starts in one program: two copies of the descent would compile twice as long.
+        fixed = stop_gradient((arm, goals, characteristic_length))
+        closed_form = descend_all(*fixed[:2], None, fixed[2], 0).q
         starts = jnp.concatenate([closed_form, extra], axis=-2)
         return descend_all(arm, goals, starts, characteristic_length, steps, priority)
     branches = descend_all(arm, goals, None, characteristic_length, steps)

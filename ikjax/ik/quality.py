@@ -95,7 +95,12 @@ def limit_clearance(arm: Arm, q: ArrayLike) -> jax.Array:
 
 @jit_with_arm
 def _limit_clearance(arm: Arm, q: jax.Array) -> jax.Array:
-    return functools.reduce(jnp.minimum, [_clearance(arm, i, q[..., i]) for i in range(arm.n)])
+    return functools.reduce(jnp.minimum, joint_clearances(arm, tuple(q[..., i] for i in range(arm.n))))
+
+
+def joint_clearances(arm: Arm, q: tuple[jax.Array, ...]) -> list[jax.Array]:
+    """`limit_clearance` of each joint alone, from joint values in scalars."""
+    return [_clearance(arm, i, value) for i, value in enumerate(q)]
 
 
 def _clearance(arm: Arm, i: int, value: jax.Array) -> jax.Array:

@@ -13,9 +13,9 @@ from jax.typing import ArrayLike
 
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import fk, reach
-from ikjax.core.known import as_array
 from ikjax.core.pose import nearest_pose, pose_error, to_matrix
 from ikjax.core.tolerances import CONVERGED, NEARLY_ROTATION
+from ikjax.core.xla import as_array
 from ikjax.ik import newton
 from ikjax.ik.inline import entries_of
 from ikjax.ik.lexicographic import checked_priority

@@ -11,9 +11,9 @@ import numpy as np
 from ikjax.arm import dh
 from ikjax.arm.arm import Arm
 from ikjax.arm.axes_to_dh import Axes, rewritten, small_pose
-from ikjax.arm.recognition import recognize
+from ikjax.arm.recognition import lock, recognize
 from ikjax.arm.recognition.facts import Check
-from ikjax.core.known import is_traced
+from ikjax.core.xla import is_traced
 
 LADDER = ("1e-5", "1e-4", "1e-3", "0.01", "0.02")
 """Tolerances of `Arm.from_dh` and `Arm.from_urdf` that are tried, up to the largest that they take."""
@@ -32,7 +32,12 @@ def refusal(arm: Arm) -> str:
     remedy = "project() takes any arm"
     if is_traced(arm):
         return f"{verdict}. {remedy}; explain(arm) says why, outside jit"
-    families = [name for name, rule in recognize.RULES.items() if re.fullmatch(rule.kinds, arm.kinds)]
+    if ways := lock.choices(arm.n):
+        if arm.coupling is not None:
+            return f"{verdict}: of coupled joints none can be given. {remedy}"
+        reasons = "; ".join(f"with {_names(arm, locked)} given, {_reason(arm, locked)}" for locked in ways)
+        return f"{verdict}: {reasons}. {remedy}"
+    families = _families(arm.kinds)
     if not families:
         return f"{verdict}: no family has joints {arm.kinds}. {remedy}"
     numbers, given = _numbers(arm), _axes(arm)
@@ -49,6 +54,34 @@ def refusal(arm: Arm) -> str:
     more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
     worst = _in_words(max(failed, key=_distance), _size(numbers))
     return f"{verdict}: {nearest}{worst}{more}. {remedy}; explain(arm) says more"
+
+
+def _families(kinds: str) -> list[str]:
+    """The families that such joints may have."""
+    return [name for name, rule in recognize.RULES.items() if re.fullmatch(rule.kinds, kinds)]
+
+
+def _names(arm: Arm, locked: tuple[int, ...]) -> str:
+    names = arm.joint_names or lock.numbered(arm.n)
+    return " and ".join(names[i] for i in locked)
+
+
+def _reason(arm: Arm, locked: tuple[int, ...]) -> str:
+    """What keeps the joints between from the family that is nearest to them."""
+    numbers, tolerance = _numbers(arm), recognize.tolerance_of(arm.dtype)
+    kinds, inner = lock.inner(arm.kinds, numbers, locked)
+    families = _families(kinds)
+    if not families:
+        return f"no family has joints {kinds}"
+    failed = {name: _failed(kinds, inner, name, tolerance) for name in families}
+    family = min(families, key=lambda name: sum(map(_distance, failed[name])))
+    if not failed[family]:
+        return f"the others are {family}, if the arm is built anew"
+    worst = max(failed[family], key=_distance)
+    words, first = _in_words(worst, _size(inner)), lock.between(arm.n, locked).start
+    # The family counts from the first joint that is left.
+    words = re.sub(r"\b\d\b(?=[, ])(?! mm| deg)", lambda digit: str(int(digit[0]) + first), words)
+    return f"the others are not {family}: {words}"
 
 
 def _with_looser_tolerance(given: Axes, families: list[str]) -> tuple[str, float, str] | None:

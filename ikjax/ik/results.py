@@ -1,9 +1,28 @@
 """Results: `Solutions` of `solve`, `Projection` of `project` and `refine`, `Trajectory` of `track`."""
 
 import dataclasses
+import weakref
+from collections.abc import Callable
+from typing import NamedTuple
 
 import jax
 import numpy as np
+
+
+class Origin(NamedTuple):
+    """Joints before they are put into an array, and before their derivatives.
+
+    Where the choice of a slot is made in the trace of `solve`, it is made among these numbers: the array of
+    all slots is never stored, and only the chosen slot is differentiated.
+    """
+
+    slots: list[list[jax.Array]]
+    """S lists of n numbers (...): the joints as in `Solutions.q`, without derivatives."""
+    valid: jax.Array
+    """(..., S): which slots reach their goal. The others have zero derivatives."""
+    differentiable: Callable[[jax.Array, jax.Array], jax.Array]
+    """From joints (..., n) that stand in a slot, and whether that slot reaches its goal, (...), to the same
+    joints with their derivatives."""
 
 
 @jax.tree_util.register_dataclass
@@ -33,6 +52,24 @@ class Solutions:
     is_pose: jax.Array | None = None
     """(...) bool: the goal was a pose: finite numbers, a bottom row (0, 0, 0, 1), and a rotation to 1e-5.
     Where not, nothing was solved. None, in solutions made by hand, counts as True for all goals."""
+
+    def __repr__(self) -> str:
+        goals, slots = self.valid.shape[:-1], self.valid.shape[-1]
+        text = f"Solutions of goals {goals}, {slots} slots of {self.q.shape[-1]} joints, {self.q.dtype}"
+        if isinstance(self.valid, jax.core.Tracer) or not isinstance(self.valid, jax.Array | np.ndarray):
+            return f"<{text}>"
+        solved = np.asarray(self.valid).any(-1)
+        return f"<{text}: {solved.sum()} of {solved.size} goals are answered>"
+
+    @property
+    def origin(self) -> "Origin | None":
+        """What `q` is made of; known only in the trace of the `solve` that made it."""
+        return _origins.get(self)
+
+    def with_origin(self, origin: "Origin") -> "Solutions":
+        """The same solutions, with their origin. It is no field, so it does not leave the trace."""
+        _origins[self] = origin
+        return self
 
     def require(self) -> "Solutions":
         """These solutions, if every goal has a valid one.
@@ -64,6 +101,10 @@ class Solutions:
             names = _first_names([f"{name} (margin {margin:.3g} m)" for name, margin in rows])
             lines.append(f"{unsolved.sum()} of {solved.size} goals have no solution: goal {names}")
         raise ValueError("\n".join(lines))
+
+
+_origins: weakref.WeakKeyDictionary[Solutions, Origin] = weakref.WeakKeyDictionary()
+"""The origins of solutions that are being traced, for as long as these live."""
 
 
 def _indices(flags: np.ndarray) -> list:

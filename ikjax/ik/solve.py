@@ -15,16 +15,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from ikjax.arm.arm import Arm
+from ikjax.arm.arm import Arm, once_for_each_arm
 from ikjax.arm.recognition.rules import RULES
-from ikjax.core.known import as_array, is_traced, stop_gradient
 from ikjax.core.warn import MOST_TURNS, warn_of_degrees
-from ikjax.core.xla import not_folded
+from ikjax.core.xla import as_array, divider, is_traced, not_folded, stop_gradient
 from ikjax.ik import batched
 from ikjax.ik.inline import solve_inline
 from ikjax.ik.refusal import refusal
-from ikjax.ik.results import Solutions
-from ikjax.ik.solve_gradient import with_derivatives
+from ikjax.ik.results import Origin, Solutions
+from ikjax.ik.solve_gradient import DerivativeRule
 from ikjax.solvers.pipeline import as_solved
 
 
@@ -33,6 +32,7 @@ def solve(
     goals: ArrayLike,
     q_now: ArrayLike | None = None,
     *,
+    redundancy: ArrayLike | None = None,
     pose_tolerance: float | None = None,
     damping: float | None = None,
 ) -> Solutions:
@@ -44,6 +44,10 @@ def solve(
             not finite, or whose rotation is off by more than 1e-5, is masked; other goals are not affected.
         q_now: (..., n) [rad, m], the values that joints take where they are arbitrary; zero by default. Where
             a turning one is beyond four turns, a warning asks whether these are degrees.
+        redundancy: The value of the joint that `arm.redundant` names [rad, m], for arms of more joints than a
+            pose asks for: an array (...) that broadcasts with the goals' batch, so that goals (N, 1, 4, 4)
+            and 16 values give answers (N, 16). With several such joints (..., k). A value beyond the limits
+            is solved as any other; one that is not finite masks its row.
         pose_tolerance: How far a valid pose may be from its goal, [rad] and as a share of
             (reach + |p|); 1e-9 in float64 and 2e-5 in float32 by default.
         damping: Of the gradients near singularities (damped least squares), as a singular value of the
@@ -52,35 +56,41 @@ def solve(
 
     Returns:
         `Solutions`, its fields (..., S) with S = len(arm.branches). `q` and `margin` have gradients in the
-        goals and in the arm's leaves. They are finite everywhere, and zero for joints of slots that are not
-        valid (`ik.solve_gradient` states the rule). The other fields have none.
+        goals, in the arm's leaves and in the redundancy: that of `q` is the tangent of the self-motion. They
+        are finite everywhere, and zero for joints of slots that are not valid (`ik.solve_gradient` states the
+        rule). The other fields have none.
 
     Raises:
-        ValueError: Wrong shapes or types, or an arm of no family.
+        ValueError: Wrong shapes or types, an arm of no family, a redundancy that is missing or that the arm
+            does not have.
     """
     check_family(arm)
     goals = as_goals(goals)
-    arm = as_solved(arm.baked().astype(goals.dtype))
+    goals, free = _with_redundancy(arm, goals, redundancy)
+    arm = _in_type(arm, goals.dtype)
     fallback = None if q_now is None else _as_fallback(arm, goals, q_now)
-    if not is_traced((arm, goals, fallback)):
-        return _solve(arm, goals, fallback, pose_tolerance)
+    # Blocks are compiled beforehand, which `jax.disable_jit`, for debugging, does not allow.
+    if not jax.config.values["jax_disable_jit"] and not is_traced((arm, goals, fallback, free)):
+        return batched.solve_eagerly(arm, goals, fallback, pose_tolerance, free)
     if not is_traced(goals):
         goals = not_folded(goals)
-    sol = _solve(*stop_gradient((arm, goals, fallback)), pose_tolerance)
-    q, margin = with_derivatives(arm, goals, sol.q, sol.valid, sol.margin, damping)
-    return dataclasses.replace(sol, q=q, margin=margin)
+    # Those of the arm's numbers that are not traced become constants of the caller's jit.
+    fixed_arm, fixed_goals, fixed_q, fixed_free = stop_gradient((arm, goals, fallback, free))
+    sol, slots = solve_inline(fixed_arm, fixed_goals, fixed_q, pose_tolerance, fixed_free)
+    rule = DerivativeRule.of(arm, goals, damping, free)
+    differentiable = dataclasses.replace(
+        sol, q=rule.joints(sol.q, sol.valid), margin=rule.margins(sol.margin)
+    )
+    # Each number is read by several loops of whoever chooses among the slots.
+    pin, shape = divider(goals[..., 0, 3]), goals.shape[:-2]
+    numbers = [[pin(jnp.broadcast_to(x, shape)) for x in slot.q] for slot in slots]
+    return differentiable.with_origin(Origin(numbers, sol.valid, rule.chosen_joints))
 
 
-def _solve(arm: Arm, goals: jax.Array, q_now: jax.Array | None, pose_tolerance: float | None) -> Solutions:
-    """`Solutions` without derivatives."""
-    if is_traced((arm, goals, q_now)):
-        # Those of the arm's numbers that are not traced become constants of the caller's jit.
-        return solve_inline(arm, goals, q_now, pose_tolerance)
-    batch = goals.shape[:-2]
-    flat = goals.reshape(-1, 4, 4)
-    flat_q = None if q_now is None else q_now.reshape(-1, arm.n)
-    sol = batched.solve_blocks(arm, flat, flat_q, pose_tolerance)
-    return jax.tree.map(lambda x: x.reshape(*batch, *x.shape[1:]), sol)
+@once_for_each_arm
+def _in_type(arm: Arm, dtype) -> Arm:
+    """The arm that is solved for goals of a type, with constants for leaves where they are not traced."""
+    return as_solved(arm.baked().astype(dtype))
 
 
 def _as_fallback(arm: Arm, goals: jax.Array, q_now: ArrayLike) -> jax.Array:
@@ -100,6 +110,54 @@ def _as_fallback(arm: Arm, goals: jax.Array, q_now: ArrayLike) -> jax.Array:
         raise ValueError(f"q_now must have shape {wanted}, got {fallback.shape}") from error
 
 
+def _with_redundancy(
+    arm: Arm, goals: jax.Array, redundancy: ArrayLike | None
+) -> tuple[jax.Array, jax.Array | None]:
+    """Goals and the values of the redundant joints (..., k) with one batch shape; None of an arm without.
+
+    Raises:
+        ValueError: A missing redundancy, one that the arm does not have, or a wrong shape.
+    """
+    if not arm.locked:
+        if redundancy is None:
+            return goals, None
+        raise ValueError(
+            f"redundancy= is for arms with more joints than a pose asks for: {arm.name} has {arm.n}, and "
+            "none is redundant"
+        )
+    count = len(arm.locked)
+    if redundancy is None:
+        raise ValueError(f"{arm.name} has {arm.n} joints: redundancy= must give the value of {_wanted(arm)}")
+    free = as_array(redundancy, goals.dtype)
+    if count == 1:
+        free = free[..., None]
+    shape = f"(..., {count})" if count > 1 else "(...)"
+    if free.ndim == 0 or free.shape[-1] != count:
+        raise ValueError(f"redundancy must have shape {shape} for {_wanted(arm)}, got {free.shape}")
+    try:
+        batch = np.broadcast_shapes(goals.shape[:-2], free.shape[:-1])
+    except ValueError as error:
+        raise ValueError(
+            f"redundancy must have shape {shape} that broadcasts with the goals' {goals.shape[:-2]}, "
+            f"got {np.shape(redundancy)}"
+        ) from error
+    kinds = "".join(arm.kinds[i] for i in arm.locked)
+    warn_of_degrees("redundancy", free, MOST_TURNS, kinds)
+    return jnp.broadcast_to(goals, (*batch, 4, 4)), jnp.broadcast_to(free, (*batch, count))
+
+
+def _wanted(arm: Arm) -> str:
+    """The redundant joints with their units and ranges, in words."""
+    words = []
+    for i, name in zip(arm.locked, arm.redundant, strict=True):
+        unit = "rad" if arm.kinds[i] == "R" else "m"
+        words.append(f"{name} [{unit}]")
+        if not is_traced(arm.limits):
+            low, high = np.asarray(arm.limits)[i]
+            words[-1] += f" between {low:.4g} and {high:.4g}"
+    return ", ".join(words)
+
+
 def check_family(arm: Arm) -> None:
     """Raise unless a closed form is known for the arm.
 
@@ -111,6 +169,19 @@ def check_family(arm: Arm) -> None:
             _warn_once_that_float64_is_needed(str(arm.family))
         return
     raise ValueError(refusal(arm))
+
+
+def check_not_redundant(arm: Arm, what: str) -> None:
+    """Raise where an arm has redundant joints, for what takes none yet.
+
+    Raises:
+        ValueError: Naming the joints.
+    """
+    if arm.locked:
+        raise ValueError(
+            f"{what} takes no redundant arms yet, and {arm.name} leaves {', '.join(arm.redundant)} free: "
+            "build it with that joint's value in its base or tool"
+        )
 
 
 _ACCEPTED = (jnp.float32, jnp.float64)
@@ -140,7 +211,7 @@ def as_goals(goals) -> jax.Array:
     if goals.dtype == np.float64 and jnp.result_type(float) == jnp.float32:
         _warn_once_that_x64_is_off()
         goals = np.asarray(goals, np.float32)
-    return jnp.asarray(goals)
+    return goals if isinstance(goals, jax.Array) else jnp.asarray(goals)
 
 
 @functools.cache

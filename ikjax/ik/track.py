@@ -14,8 +14,8 @@ from jax.typing import ArrayLike
 
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import reach
-from ikjax.core.known import as_array, stop_gradient
 from ikjax.core.tolerances import TRACK_SLACK, VALID
+from ikjax.core.xla import as_array, stop_gradient
 from ikjax.ik import newton
 from ikjax.ik.inline import entries_of, jit_with_arm
 from ikjax.ik.multistart import (
@@ -49,7 +49,8 @@ def track(
 
     An arm that can reach a goal reaches it; otherwise it takes the pose of its branch that is nearest in the
     sense of `project`. It leaves its branch where another one is nearer to the goal by more than `slack`, and
-    takes the one that moves the joints least.
+    takes the one that moves the joints least. A redundant joint moves no more than the descent from where it
+    is moves it; the other branches are those at its present value.
 
     Args:
         arm: An arm with a family.
@@ -105,7 +106,7 @@ def _follow_one(
     """From joints (..., n) to the next goal (..., 4, 4)."""
     pose, proper, policy = nearest_goal(arm, entries_of(goal))
     columns = tuple(q[..., i] for i in range(arm.n))
-    starts = closed_form_starts(arm, pose, policy)
+    starts = closed_form_starts(arm, pose, policy, tuple(columns[i] for i in arm.locked))
     own_start = tuple(x[None] for x in columns)
     starts = newton.into_limits(arm, starts, own_start)
     # The first start is the arm's own joints.

@@ -14,9 +14,9 @@ from jax.typing import ArrayLike
 
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import whole_turns
-from ikjax.core.known import as_array
 from ikjax.core.trig import Scalar, with_turns
 from ikjax.core.warn import MOST_TURNS, warn_of_degrees
+from ikjax.core.xla import as_array
 from ikjax.ik.results import Solutions
 
 TURN = 2 * math.pi
@@ -97,17 +97,26 @@ def limits_like(arm: Arm, q: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array
     return low, high, whole
 
 
-def q_now_like(arm: Arm, q_now: ArrayLike, q: jax.Array) -> jax.Array:
-    """The arm's present joints (..., n), repeated for the slots of q (..., S, n).
+def checked_q_now(arm: Arm, q_now: ArrayLike, q: jax.Array) -> jax.Array:
+    """The arm's present joints, in the type of q (..., S, n), of a shape that broadcasts to (..., n).
 
     Raises:
         ValueError: A wrong shape.
     """
     present = as_array(q_now, q.dtype)
-    if present.ndim == 0 or present.shape[-1] != arm.n:
+    wanted = (*q.shape[:-2], arm.n)
+    # Not `np.broadcast_shapes`: a q_now of more axes than the solutions would broadcast with them too.
+    fits = present.ndim <= len(wanted) and present.shape[-1:] == wanted[-1:]
+    pairs = zip(present.shape[::-1], wanted[::-1], strict=False)
+    if not fits or not all(size in (1, needed) for size, needed in pairs):
         raise ValueError(f"q_now must have shape (..., {arm.n}), got {present.shape}")
     warn_of_degrees("q_now", present, MOST_TURNS, arm.kinds)
-    present = jnp.broadcast_to(present, (*q.shape[:-2], arm.n))
+    return present
+
+
+def q_now_like(arm: Arm, q_now: ArrayLike, q: jax.Array) -> jax.Array:
+    """The arm's present joints, repeated for the slots of q (..., S, n); raises as `checked_q_now`."""
+    present = jnp.broadcast_to(checked_q_now(arm, q_now, q), (*q.shape[:-2], arm.n))
     return jnp.broadcast_to(present[..., None, :], q.shape)
 
 

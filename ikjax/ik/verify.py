@@ -112,7 +112,8 @@ def _at_right_angles(arm: Arm, q: np.ndarray, rng) -> np.ndarray:
 def _judge(arm: Arm, q: np.ndarray, dtype) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """Which goals of joints q (N, n) are wrong, unanswered and missing, each (N,); the worst error."""
     goals = np.asarray(fk(arm, q), float)
-    sol = jax.tree.map(np.asarray, solve(arm, jnp.asarray(goals, dtype)))
+    free = q[:, arm.locked] if len(arm.locked) > 1 else q[:, arm.locked[0]] if arm.locked else None
+    sol = jax.tree.map(np.asarray, solve(arm, jnp.asarray(goals, dtype), redundancy=free))
     distance, angle, rows = _task_errors(arm, np.asarray(fk(arm, sol.q), float), goals[:, None])
     size = float(reach(arm.baked()))
     scale = size + np.linalg.norm(goals[:, :3, 3], axis=-1)[:, None]
@@ -124,7 +125,9 @@ def _judge(arm: Arm, q: np.ndarray, dtype) -> tuple[np.ndarray, np.ndarray, np.n
     scaled = np.array(jacobian(arm, q), float)
     scaled[:, :3] /= size
     scaled[:, :, [kind == "P" for kind in arm.kinds]] *= size
-    sigma_min = np.linalg.svd(rows @ scaled, compute_uv=False)[..., -1]
+    # Redundant joints are given: the others must be regular.
+    solved = scaled[..., arm.solved.start : arm.solved.stop]
+    sigma_min = np.linalg.svd(rows @ solved, compute_uv=False)[..., -1]
     turning = np.array([kind == "R" for kind in arm.kinds])
     off = sol.q - q[:, None]
     off = np.abs(off if arm.coupling is None else off @ np.asarray(arm.coupling, float).T)

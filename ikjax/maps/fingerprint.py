@@ -59,7 +59,7 @@ def _hash_of(name: str, program: ClosedJaxpr) -> str:
 def _constants(part: Any) -> Iterator[Any]:
     """Every constant of a program, in the order of its operations."""
     if isinstance(part, ClosedJaxpr | Jaxpr):
-        # jax 0.12 made one class of the two, whose `jaxpr` is itself; before, only a closed one had constants.
+        # One class since jax 0.12, whose `jaxpr` is itself; before, only a closed one had constants.
         yield from _constants(getattr(part, "consts", ()))
         program = getattr(part, "jaxpr", part)
         for equation in program.eqns:

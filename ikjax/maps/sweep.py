@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, DTypeLike
 
 from ikjax.arm.arm import Arm
 from ikjax.core.tolerances import VALID
-from ikjax.ik.solve import check_family
+from ikjax.ik.solve import check_family, check_not_redundant
 from ikjax.maps import statistics
 from ikjax.maps.kernel.program import Kernel, kernel_of
 from ikjax.maps.processes import Processes
@@ -190,6 +190,7 @@ def _checked_dtype(
 ) -> np.dtype:
     """The kernel's floating type; raises ValueError where an argument of the sweep is out of range."""
     check_family(arm)
+    check_not_redundant(arm, "sweep")
     if arm.task.startswith("planar"):
         raise ValueError(
             f"{arm.name} moves in a plane (task {arm.task!r}), so a map in space says nothing of it"

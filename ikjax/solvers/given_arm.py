@@ -7,6 +7,7 @@ Source: damped least squares in robotics: Wampler (1986), Nakamura and Hanafusa 
 """
 
 import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -39,7 +40,7 @@ class Given(NamedTuple):
     between: tuple[Pose, ...] | None
     """The correction at the end of each link but the last."""
     tool_point: Vector
-    """Seen from the last frame."""
+    """Seen from the last frame; beyond a redundant joint each goal has its own."""
 
 
 def polished(
@@ -110,7 +111,7 @@ def polished_rows(
     start = jax.tree.map(lambda x: x.reshape(shape[0], -1), start)
     start = jax.tree.map(divider_once(jax.tree.leaves(start)[0]), start)
     goals = jax.tree.map(lambda x: jnp.broadcast_to(x, shape[1:]).reshape(1, -1), goal)
-    solve = _Solve(given, turning, setting)
+    solve = _Solve(given, turning, setting).at_goals(lambda x: jnp.broadcast_to(x, shape[1:]).reshape(1, -1))
     joints = start
     if steps:
         joints = jax.lax.fori_loop(0, steps, lambda _, joints: solve.step(joints, goals), start)
@@ -154,8 +155,12 @@ def _solved_again(
     def batch(state):
         first, answer = state
         where = jax.lax.dynamic_slice_in_dim(places, first, size)
-        here = jax.tree.map(lambda x: x[:, jnp.minimum(where, count - 1)], (start, goals))
-        better = solve.beside_fold(*here)
+
+        def gathered(x):
+            return x[:, jnp.minimum(where, count - 1)]
+
+        here = jax.tree.map(gathered, (start, goals))
+        better = solve.at_goals(gathered).beside_fold(*here)
         answer = jax.tree.map(lambda x, y: x.at[:, where].set(y, mode="drop"), answer, better)
         return first + size, answer
 
@@ -169,6 +174,11 @@ class _Solve(NamedTuple):
     given: Given
     turning: bool
     setting: Setting
+
+    def at_goals(self, pick: Callable[[jax.Array], jax.Array]) -> "_Solve":
+        """The same at some of the goals, where each has a tool point of its own."""
+        tool_point = tuple(pick(x) if jnp.ndim(x) else x for x in self.given.tool_point)
+        return self._replace(given=self.given._replace(tool_point=tool_point))
 
     def step(self, joints: Joints, goals: Pose) -> Joints:
         """One damped step of all slots."""

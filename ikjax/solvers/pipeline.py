@@ -32,11 +32,10 @@ from ikjax.arm.forward import (
 from ikjax.arm.recognition.rules import RULES
 from ikjax.core import pose as poses
 from ikjax.core import safe, vector
-from ikjax.core.known import is_traced, stop_gradient
 from ikjax.core.pose import Pose
 from ikjax.core.tolerances import TINY, UNSEEN, VALID
 from ikjax.core.trig import Angle, Scalar, atan2, canonical, sincos, wrap
-from ikjax.core.xla import pin
+from ikjax.core.xla import is_traced, pin, stop_gradient
 from ikjax.solvers.context import Branch, Joints, Setting, Slide, placed
 from ikjax.solvers.families import FAMILIES, Family
 from ikjax.solvers.given_arm import Given, polished, polished_rows, step_count
@@ -99,10 +98,17 @@ class Frame(NamedTuple):
     correction_size: Scalar
     """A small part (1 / 32) of the sum of these corrections: enough to bend an elbow that has to be straight
     on the arm as recognized and need not be so on the arm as given."""
+    locked: Joints = ()
+    """The joints of `Arm.locked` at their values, which are a part of `from_world` and of `from_tool`."""
 
 
-def prepare(arm: Arm) -> Frame:
-    """The frame of an arm."""
+def prepare(arm: Arm, free: tuple[Scalar, ...] = ()) -> Frame:
+    """The frame of an arm.
+
+    Args:
+        arm: The arm.
+        free: The values of the joints in `Arm.locked` [rad, m].
+    """
     size = reach(arm)
     per = 1 / size
     table = tuple(
@@ -116,6 +122,21 @@ def prepare(arm: Arm) -> Frame:
         between = tuple(Pose(p.rotation, vector.scale(per, p.position)) for p in off[1:-1])
     base = Pose(base.rotation, vector.scale(per, base.position))
     tool = Pose(tool.rotation, vector.scale(per, tool.position))
+    locked = tuple(
+        _joint_at(table[i], value, per, jnp.result_type(value))
+        for i, value in zip(arm.locked, free, strict=True)
+    )
+    if locked:
+        at = dict(zip(arm.locked, locked, strict=True))
+        for i in range(arm.solved.start):
+            base = advance(base, table[i], placed(table[i], at[i]))
+            base = base if between is None else poses.compose(base, between[i])
+        for i in reversed(range(arm.solved.stop, arm.n)):
+            before = poses.IDENTITY if between is None else between[i - 1]
+            tool = poses.compose(advance(before, table[i], placed(table[i], at[i])), tool)
+        base, tool = jax.tree.map(pin, (base, tool))
+        table = table[arm.solved.start : arm.solved.stop]
+        between = None if between is None else between[arm.solved.start : arm.solved.stop - 1]
     tip_tool = poses.compose(advance(poses.IDENTITY, table[-1], Joint(0.0, 1.0, table[-1].d)), tool)
     bare = Link(table[-1].kind, 0.0, 0.0, 1.0, 0.0, table[-1].theta)
     return Frame(
@@ -127,12 +148,13 @@ def prepare(arm: Arm) -> Frame:
         tip_tool.position,
         between,
         0.0 if between is None else _correction_size(arm, per),
+        locked,
     )
 
 
 def _correction_size(arm: Arm, per: Scalar) -> Scalar:
     assert arm.correction is not None
-    rows = [numbers(arm.correction[i]) for i in range(1, arm.n)]
+    rows = [numbers(arm.correction[i + 1]) for i in arm.solved[:-1]]
     return sum(per * sum(map(abs, row[:3])) + sum(map(abs, row[3:])) for row in rows) / 32
 
 
@@ -145,6 +167,7 @@ def solve_scalars(
     goal: Pose,
     fallback: tuple[Scalar, ...] | None = None,
     tolerance: float | None = None,
+    free: tuple[Scalar, ...] = (),
 ) -> tuple[Slot, ...]:
     """Every slot for one goal, in scalars (or for many goals, one array a scalar).
 
@@ -153,15 +176,15 @@ def solve_scalars(
         goal: T_world_tool with an orthonormal rotation; `clean` makes one of anything.
         fallback: Joint values where the goal leaves joints arbitrary; zero by default.
         tolerance: Overrides `VALID` for the goal's type.
+        free: The values of the joints in `Arm.locked` [rad, m], finite.
 
     Returns:
         One `Slot` for each branch of the family, in slot order.
     """
     if FAMILIES[str(arm.family)].stacked is not None:
-        rows = solve_rows(arm, goal, fallback, tolerance)
-        return tuple(_entry(rows, k) for k in range(len(arm.branches)))
+        return each_slot(solve_rows(arm, goal, fallback, tolerance, free))
     tolerance = VALID[jnp.result_type(goal.position[0]).name] if tolerance is None else tolerance
-    frame, tip, setting = _prepared(arm, goal, fallback)
+    frame, tip, setting = _prepared(arm, goal, fallback, free)
     allowed = tolerance * (1 + frame.per_reach * vector.norm(goal.position))
     turning = arm.task in TURNING
     family = FAMILIES[str(arm.family)]
@@ -173,8 +196,8 @@ def solve_scalars(
         measured = list(zip(gaps, turns, strict=True))
     else:
         measured = [_mismatch(frame, family, branch) for branch in branches]
-    pairs = zip(branches, measured, strict=True)
-    return tuple(_measured(arm, frame, branch, squares, both) for branch, squares in pairs)
+    measure = _Measure(arm, frame, _motors(arm), both, free)
+    return tuple(measure(branch, squares) for branch, squares in zip(branches, measured, strict=True))
 
 
 def solve_rows(
@@ -182,6 +205,7 @@ def solve_rows(
     goal: Pose,
     fallback: tuple[Scalar, ...] | None = None,
     tolerance: float | None = None,
+    free: tuple[Scalar, ...] = (),
 ) -> Slot:
     """Every slot in one, whose numbers have the slots as their first axis, for a family with `stacked`.
 
@@ -191,23 +215,45 @@ def solve_rows(
     assert family.stacked is not None
     tolerance = VALID[dtype.name] if tolerance is None else tolerance
     if RULES[str(arm.family)].wide and dtype == jnp.float32 and jnp.result_type(float) == jnp.float64:
-        return _in_float64(arm, goal, fallback, tolerance)
-    frame, tip, setting = _prepared(arm, goal, fallback)
+        return _in_float64(arm, goal, fallback, tolerance, free)
+    frame, tip, setting = _prepared(arm, goal, fallback, free)
     allowed = tolerance * (1 + frame.per_reach * vector.norm(goal.position))
     given = Given(frame.links, frame.between, frame.tool_point)
     whole = family.stacked(arm.signs, frame.links, tip, setting)
     branch, squares = _finished(given, whole, tip, (allowed, tolerance), setting)
-    return _measured(arm, frame, branch, squares, (jnp.asarray(allowed)[None], tolerance))
+    frame, free = frame._replace(locked=_in_rows(frame.locked, branch)), _in_rows(free, branch)
+    return _Measure(arm, frame, _motors(arm), (jnp.asarray(allowed)[None], tolerance), free)(branch, squares)
 
 
-def _in_float64(arm: Arm, goal: Pose, fallback: tuple[Scalar, ...] | None, tolerance: float) -> Slot:
+def _in_rows(values, rows: Branch):
+    """Numbers of a goal (...) that its slots have in common, for each slot (S, ...)."""
+    return jax.tree.map(lambda x: jnp.broadcast_to(x, rows.margin.shape), values)
+
+
+def each_slot(rows: Slot) -> tuple[Slot, ...]:
+    """The slots that are stacked in one, whose goal they have in common."""
+
+    def slot(k: int) -> Slot:
+        apart = jax.tree.map(lambda x: x if isinstance(x, bool) else x[k], rows._replace(is_pose=True))
+        return apart._replace(is_pose=rows.is_pose)
+
+    return tuple(map(slot, range(len(rows.valid))))
+
+
+def _in_float64(
+    arm: Arm,
+    goal: Pose,
+    fallback: tuple[Scalar, ...] | None,
+    tolerance: float,
+    free: tuple[Scalar, ...],
+) -> Slot:
     """The slots of a float32 goal, computed in float64."""
 
     def cast(tree, dtype):
         return jax.tree.map(lambda x: x.astype(dtype) if hasattr(x, "astype") else x, tree)
 
-    wide = cast(goal, jnp.float64), cast(fallback, jnp.float64)
-    slot = solve_rows(arm.astype(jnp.float64), *wide, tolerance)
+    goal, fallback, free = cast((goal, fallback, free), jnp.float64)
+    slot = solve_rows(arm.astype(jnp.float64), goal, fallback, tolerance, free)
 
     def narrow(x):
         return x.astype(jnp.float32) if hasattr(x, "astype") and x.dtype == jnp.float64 else x
@@ -216,38 +262,38 @@ def _in_float64(arm: Arm, goal: Pose, fallback: tuple[Scalar, ...] | None, toler
     return slot._replace(q=tuple(map(canonical, slot.q)))
 
 
-def _entry(slot: Slot, k: int) -> Slot:
-    """One of the slots that are stacked in one."""
-    return jax.tree.map(lambda x: x if isinstance(x, bool) else x[k], slot)
+class _Measure(NamedTuple):
+    """What makes slots of branches: whether they reach the goal, and how far they are off."""
 
+    arm: Arm
+    frame: Frame
+    motors: Callable[[tuple[Scalar, ...]], tuple[Scalar, ...]]
+    allowed: tuple[Scalar, float]
+    """Distance and angle of a valid pose, in units of the reach and rad."""
+    free: tuple[Scalar, ...]
+    """The values of the joints in `Arm.locked` [rad, m]."""
 
-def _measured(
-    arm: Arm,
-    frame: Frame,
-    branch: Branch,
-    squares: tuple[Scalar, Scalar],
-    allowed: tuple[Scalar, float],
-) -> Slot:
-    """The slot of a branch whose tool point and rotation are so far from the goal's."""
-    length, angle = allowed
-    gap_squared, turn_squared = map(pin, squares)
-    turn_squared = turn_squared if arm.task in TURNING else jnp.zeros_like(gap_squared)
-    # |R - S| = sqrt(8) sin(angle / 2) in the Frobenius norm, which is sqrt(2) angle for small angles.
-    valid = (gap_squared <= length * length) & (turn_squared <= 2 * angle**2)
-    half = safe.sqrt(jnp.minimum(turn_squared / 8, 1))
-    margin = jnp.minimum(branch.margin, 1)
-    if not isinstance(branch.miss, float):
-        margin = jnp.where(valid, margin, jnp.minimum(margin, -branch.miss))
-    return Slot(
-        branch.joints,
-        _motors(arm)(_joint_values(frame, branch.joints)),
-        valid,
-        frame.reach * margin,
-        branch.continuum,
-        frame.reach * safe.sqrt(gap_squared),
-        2 * atan2(half, safe.sqrt((1 - half) * (1 + half))),
-        jnp.maximum(gap_squared / (length * length), turn_squared / (2 * angle**2)),
-    )
+    def __call__(self, branch: Branch, squares: tuple[Scalar, Scalar]) -> Slot:
+        """The slot of a branch, with its squared errors: of tool point and rotation (Frobenius)."""
+        arm, frame, (length, angle) = self.arm, self.frame, self.allowed
+        gap_squared, turn_squared = map(pin, squares)
+        turn_squared = turn_squared if arm.task in TURNING else jnp.zeros_like(gap_squared)
+        # |R - S| = sqrt(8) sin(angle / 2) in the Frobenius norm, which is sqrt(2) angle for small angles.
+        valid = (gap_squared <= length * length) & (turn_squared <= 2 * angle**2)
+        half = safe.sqrt(jnp.minimum(turn_squared / 8, 1))
+        margin = jnp.minimum(branch.margin, 1)
+        if not isinstance(branch.miss, float):
+            margin = jnp.where(valid, margin, jnp.minimum(margin, -branch.miss))
+        return Slot(
+            _whole(arm, branch.joints, frame.locked),
+            self.motors(_whole(arm, _joint_values(frame, branch.joints), self.free)),
+            valid,
+            frame.reach * margin,
+            branch.continuum,
+            frame.reach * safe.sqrt(gap_squared),
+            2 * atan2(half, safe.sqrt((1 - half) * (1 + half))),
+            jnp.maximum(gap_squared / (length * length), turn_squared / (2 * angle**2)),
+        )
 
 
 def _finished(
@@ -267,16 +313,16 @@ def _finished(
     return slots._replace(joints=joints), (squares[0], squares[1])
 
 
-def proposed(arm: Arm, goal: Pose) -> list[tuple[Scalar, ...]]:
+def proposed(arm: Arm, goal: Pose, free: tuple[Scalar, ...] = ()) -> list[tuple[Scalar, ...]]:
     """Joints of every slot, for a goal that need not be reached: as near as the closed form comes.
 
     Arguments as in `solve_scalars`. Nothing is measured, and the arm is taken as recognized.
     """
-    frame, tip, setting = _prepared(arm, goal, None)
+    frame, tip, setting = _prepared(arm, goal, None, free)
     family = FAMILIES[str(arm.family)]
     branches = (family.nearest or family.branches)(arm.signs, frame.links, tip, setting)
     motors = _motors(arm)
-    return [motors(_joint_values(frame, branch.joints)) for branch in branches]
+    return [motors(_whole(arm, _joint_values(frame, branch.joints), free)) for branch in branches]
 
 
 def proposed_at_limits(arm: Arm, goal: Pose) -> list[tuple[Scalar, ...]]:
@@ -300,14 +346,23 @@ def proposed_at_limits(arm: Arm, goal: Pose) -> list[tuple[Scalar, ...]]:
     return [motors(_joint_values(frame, joints)) for joints in ways]
 
 
-def _prepared(arm: Arm, goal: Pose, fallback: tuple[Scalar, ...] | None) -> tuple[Frame, Pose, Setting]:
+def _whole(arm: Arm, solved: tuple, locked: tuple) -> tuple:
+    """What there is of each joint, of that of the solved joints and that of the locked ones."""
+    return (*locked[: arm.solved.start], *solved, *locked[arm.solved.start :])
+
+
+def _prepared(
+    arm: Arm, goal: Pose, fallback: tuple[Scalar, ...] | None, free: tuple[Scalar, ...] = ()
+) -> tuple[Frame, Pose, Setting]:
     """The arm's frame, the goal as its family expects it, and the setting of the family."""
     dtype = jnp.result_type(goal.position[0])
-    frame = prepare(arm)
+    frame = prepare(arm, free)
     zero = TINY * float(np.finfo(dtype).eps)
     values = coupled(arm, (0.0,) * arm.n if fallback is None else fallback)
+    values = values[arm.solved.start : arm.solved.stop]
     joints = tuple(
-        _fallback(link, value, frame, dtype) for link, value in zip(frame.links, values, strict=True)
+        _joint_at(link, value, frame.per_reach, dtype)
+        for link, value in zip(frame.links, values, strict=True)
     )
     scaled = Pose(goal.rotation, vector.scale(frame.per_reach, goal.position))
     tip = jax.tree.map(pin, _tip_goal(arm.task, frame, scaled))
@@ -361,9 +416,10 @@ def _row(entries) -> jax.Array:
     return jnp.stack([jnp.asarray(x) for x in entries]) if isinstance(entries, np.ndarray) else entries
 
 
-def _fallback(link: Link, value: Scalar, frame: Frame, dtype) -> Angle | Slide:
+def _joint_at(link: Link, value: Scalar, per_reach: Scalar, dtype) -> Angle | Slide:
+    """The joint of a link at a value [rad, m]."""
     if link.kind == "P":
-        return Slide(jnp.asarray(frame.per_reach * value, dtype))
+        return Slide(jnp.asarray(per_reach * value, dtype))
     total = jnp.asarray(link.theta + value, dtype)
     return Angle(*sincos(total), total)
 

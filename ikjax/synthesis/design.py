@@ -19,7 +19,7 @@ from ikjax.arm.forward import reach
 from ikjax.core.tolerances import CONSTRAINT_MET
 from ikjax.ik.check import check_goals
 from ikjax.ik.select import within_limits
-from ikjax.ik.solve import as_goals, check_family, solve
+from ikjax.ik.solve import as_goals, check_family, check_not_redundant, solve
 from ikjax.synthesis import ascent
 from ikjax.synthesis.ascent import Constraint, Objective
 from ikjax.synthesis.objectives import NAMED
@@ -156,6 +156,7 @@ def design(
             comparison, for example).
     """
     check_family(arm)
+    check_not_redundant(arm, "design")
     goals = as_goals(goals)
     goals = goals[None] if goals.ndim == 2 else goals
     arm, is_pose = arm.astype(goals.dtype), _rows_of_poses(arm, goals)

@@ -15,7 +15,7 @@ from ikjax.arm.arm import Arm
 from ikjax.arm.forward import reach
 from ikjax.ik.check import check_goals
 from ikjax.ik.margins import limited_margins
-from ikjax.ik.solve import as_goals, check_family, solve
+from ikjax.ik.solve import as_goals, check_family, check_not_redundant, solve
 from ikjax.maps.reach_map import ReachMap
 from ikjax.maps.sets.positions import Grid
 from ikjax.solvers.pipeline import as_solved
@@ -149,6 +149,7 @@ def place(
             order, numbers out of range; a map of another arm or without the counts that are needed.
     """
     check_family(arm)
+    check_not_redundant(arm, "place")
     given = as_goals(goals)
     check_goals(arm, given)
     flat = np.asarray(given).reshape(-1, 4, 4)

@@ -236,7 +236,7 @@ def test_a_printed_arm_can_be_pasted_back(name):
         np.testing.assert_allclose(
             getattr(again, key), getattr(arm, key), rtol=1e-11, atol=1e-12, err_msg=key
         )
-    for fact in ("kinds", "name", "family", "signs", "branches", "task"):
+    for fact in ("kinds", "name", "family", "signs", "branches", "task", "locked"):
         assert getattr(again, fact) == getattr(arm, fact)
 
 

@@ -18,8 +18,9 @@ FAMILY = {
     "planar_2r": "planar_position",
     **dict.fromkeys(["motoman_l3", "so101", "katana_6m180", "vx300"], "five_axis"),
     "gx4_351s": "scara",
-    "stanford": "pieper",
-    **dict.fromkeys(("cobotta", "crx10ia", "gen3lite", "gofa5", "hc10", "xarm6"), "offset_wrist"),
+    **dict.fromkeys(["stanford", "iiwa7", "iiwa14", "rm75", "gen3"], "pieper"),
+    **dict.fromkeys(["fer", "fr3", "xarm7", "gen72"], "pieper_reversed"),
+    **dict.fromkeys(["cobotta", "crx10ia", "gen3lite", "gofa5", "hc10", "xarm6"], "offset_wrist"),
 }
 TASKS = {"planar_pose": "planar_pose", "planar_position": "planar_position"}
 TABLES = {
@@ -56,11 +57,8 @@ def test_every_arm_of_the_catalogue_has_its_family(name):
     arm = ikjax.robots.get(name)
     assert arm.family == FAMILY[name]
     assert arm.task == TASKS.get(arm.family, "pose")
-    assert (
-        len(arm.branches)
-        == len(set(arm.branches))
-        == (16 if arm.family == "offset_wrist" else {2: 2, 3: 2, 4: 2, 5: 4, 6: 8}[arm.n])
-    )
+    slots = 16 if arm.family == "offset_wrist" else {2: 2, 3: 2, 4: 2, 5: 4, 6: 8, 7: 8}[arm.n]
+    assert len(arm.branches) == len(set(arm.branches)) == slots
     if arm.family not in TABLES:
         return
     assert arm.branches[:2] == ("front/up/noflip", "back/up/noflip")

@@ -85,6 +85,14 @@ def test_solve_prints_eight_rows(run):
     assert [row.split()[1] for row in rows] == list(robots.puma560().branches)
 
 
+def test_solve_takes_the_value_of_a_redundant_joint(run):
+    code, out, _ = run("solve", "fer", *GOAL, "--redundancy", "0.3", "--radians")
+    assert code == 0 and out.startswith("fer: 8 of 8 branches reach the goal")
+    assert all(row.split()[10] == "0.3000" for row in out.splitlines()[2:])
+    code, _, err = run("solve", "fer", *GOAL)
+    assert code != 0 and "redundancy= must give the value of joint7" in err
+
+
 def test_negative_numbers_are_numbers(run):
     code, out, _ = run("solve", "ur5", "--xyz", "-0.4", "-.2", "3e-1", "--rpy", "-1", "0", "-0.5", "--json")
     assert code == 0
@@ -347,8 +355,8 @@ def test_verify_finds_a_wrong_answer(monkeypatch):
 
     from ikjax.ik import verify
 
-    def lying(arm, goals):
-        sol = ikjax.solve(arm, goals)
+    def lying(arm, goals, **values):
+        sol = ikjax.solve(arm, goals, **values)
         return dataclasses.replace(sol, q=sol.q + 1e-3)
 
     monkeypatch.setattr(verify, "solve", lying)
@@ -400,3 +408,15 @@ def test_a_signal_stops_a_sweep_that_can_be_continued(run, study, tmp_path, name
     assert not (tmp_path / "map.zarr.lock").exists()
     _, _, err = run(*words, "--resume", "--max-hours", "1e-9")
     assert int(err.split(" holds ")[1].split(" of ")[0]) >= 2
+
+
+def test_compiled_programs_are_kept_in_the_users_cache_folder(tmp_path):
+    environment = {k: v for k, v in os.environ.items() if k != "JAX_COMPILATION_CACHE_DIR"}
+    environment |= {"XDG_CACHE_HOME": str(tmp_path)}
+    goal = ["--xyz", "0.5", "0.2", "0", "--rpy", "0", "0", "0"]
+    command = [sys.executable, "-m", "ikjax.cli", "solve", "planar_2r", *goal]
+    subprocess.run([*command, "--no-cache"], env=environment, check=False, capture_output=True)
+    assert not (tmp_path / "ikjax").exists()
+    done = subprocess.run(command, env=environment, check=False, capture_output=True)
+    assert done.returncode in (0, 1), done.stderr
+    assert any((tmp_path / "ikjax").iterdir())

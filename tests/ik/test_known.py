@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import ikjax
-from ikjax.core.known import as_array, constants, is_traced, stop_gradient
+from ikjax.core.xla import as_array, constants, is_traced, stop_gradient
 
 ARM = ikjax.robots.get("puma560").astype(np.float32)
 GOALS = np.tile(np.eye(4, dtype=np.float32), (3, 1, 1))

@@ -80,7 +80,7 @@ def test_where_no_tolerance_helps_the_nearest_family_and_the_gap_are_named(chang
     assert text == f"mine has no closed form here: {fact}project() takes any arm; explain(arm) says more"
 
 
-@pytest.mark.parametrize("n", [1, 7, 8])
+@pytest.mark.parametrize("n", [1, 10])
 def test_numbers_of_joints_that_no_family_has_are_named(n):
     arm = ikjax.Arm.from_dh(a=np.full(n, 0.3), alpha=np.full(n, 0.4), d=np.zeros(n), convention="standard")
     assert (

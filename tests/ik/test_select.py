@@ -200,3 +200,25 @@ class TestWithinLimits:
             np.testing.assert_array_equal(other(sol).valid, wanted.valid)
         gradient = jax.grad(lambda q: call(dataclasses.replace(sol, q=q)).q.sum())(sol.q)
         np.testing.assert_array_equal(gradient, 1)
+
+
+def test_a_choice_in_the_trace_of_solve_is_that_among_its_arrays():
+    """There it is made before the joints are stacked, and one slot is differentiated instead of eight."""
+    q = np.random.default_rng(3).uniform(-2.6, 2.6, (60, 6))
+    goals, now = ikjax.fk(ARM, q), np.full(6, 0.4)
+
+    def chosen(T, forgotten):
+        sol = ikjax.solve(ARM, T)
+        # A copy does not know where its joints come from.
+        sol = dataclasses.replace(sol) if forgotten else sol
+        q, found = ikjax.nearest(ARM, ikjax.within_limits(ARM, sol), now)
+        return (jnp.where(found[:, None], jnp.sin(q), 0) @ np.arange(1.0, 7)).sum(), (q, found)
+
+    gradient = jax.jit(jax.grad(chosen, has_aux=True), static_argnums=1)
+    fast, (q, found) = gradient(goals, False)
+    slow, (wanted, wanted_found) = gradient(goals, True)
+    assert 10 < found.sum() < 60
+    np.testing.assert_array_equal(found, wanted_found)
+    np.testing.assert_allclose(q, wanted, atol=1e-9)
+    assert np.abs(slow).max() > 1
+    np.testing.assert_allclose(fast, slow, rtol=1e-7, atol=1e-7)

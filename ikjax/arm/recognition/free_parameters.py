@@ -70,7 +70,7 @@ def _verdict(arm: "Arm", changes: Mapping[str, float]):
         column, i = _place(arm, name)
         numbers[column][i] = value
     tolerance = recognize.tolerance_of(arm.dtype)
-    return recognize.judged(arm.kinds, numbers, str(arm.family), tolerance)
+    return recognize.judged(arm.kinds, numbers, str(arm.family), tolerance, arm.locked)
 
 
 def _place(arm: "Arm", name: str) -> tuple[str, int]:

@@ -10,10 +10,11 @@ import jax
 import numpy as np
 
 from ikjax.arm.axes_to_dh import small_pose, twist_of
+from ikjax.arm.recognition import lock
 from ikjax.arm.recognition.facts import Check, Table
 from ikjax.arm.recognition.rules import RULES, Judgement, nearly_split
-from ikjax.core.known import is_traced
 from ikjax.core.tolerances import FACT
+from ikjax.core.xla import is_traced
 
 
 def tolerance_of(dtype) -> float:
@@ -30,6 +31,7 @@ class Verdict(NamedTuple):
     task: str
     evidence: dict[str, tuple[Check, ...]]
     """The checks of every family that was tried, in order."""
+    locked: tuple[int, ...] = ()
 
 
 NONE = Verdict(None, (), (), "pose", {})
@@ -42,8 +44,12 @@ def recognize(
     family: str | None = None,
     up: int = 1,
     tolerance: float = FACT,
+    locked: tuple[int, ...] | None = None,
 ) -> Verdict:
     """The first family whose facts all hold.
+
+    Of more than six joints, some at the ends are locked, and the others are recognized: as the family that
+    comes first in the order of the rules, over all ways to lock.
 
     Args:
         kinds: The joints, "R" or "P" each.
@@ -52,6 +58,7 @@ def recognize(
         family: The only family to try.
         up: +1 when axis 1 points up, -1 when down: what a branch calls up.
         tolerance: How far a fact may be off.
+        locked: The joints to lock, counted from 0; by default every way is tried.
 
     Raises:
         ValueError: A traced twist, a traced length without `family`, an unknown family, or a
@@ -67,6 +74,25 @@ def recognize(
         raise ValueError("from_dh with traced lengths needs family=, one of " + ", ".join(RULES))
     if family is not None and family not in RULES:
         raise ValueError(f"family must be one of {', '.join(RULES)}, got {family!r}")
+    ways = lock.choices(len(kinds)) if locked is None else [locked]
+    best = Verdict(None, (), (), "pose", {})
+    rank = len(RULES)
+    for way in ways or [()]:
+        solved, columns = lock.inner(kinds, numbers, way)
+        direction = lock.inner_up(kinds, numbers, way, up)
+        verdict = _first_family(solved, columns, family, direction, tolerance)._replace(locked=way)
+        place = rank if verdict.family is None else list(RULES).index(verdict.family)
+        if place < rank or not best.evidence:
+            best, rank = verdict, place
+    if best.family is None:
+        if family is not None:
+            raise ValueError(f"the arm is not of family {family}: {describe(best.evidence[family])}")
+        return best._replace(locked=())
+    return best
+
+
+def _first_family(kinds: str, numbers: dict, family: str | None, up: int, tolerance: float) -> Verdict:
+    """The first family that fits all joints of a table; arguments as in `recognize`."""
     table = _table(kinds, numbers, up, tolerance)
     seen: dict[str, tuple[Check, ...]] = {}
     for name, rule in RULES.items():
@@ -79,19 +105,21 @@ def recognize(
         seen[name] = tuple(checks)
         if all(check.holds for check in checks):
             return Verdict(name, signs, branches, rule.task, seen)
-    if family is not None:
-        raise ValueError(f"the arm is not of family {family}: {describe(seen[family])}")
     return Verdict(None, (), (), "pose", seen)
 
 
-def evidence(kinds: str, numbers: dict, family: str, tolerance: float) -> tuple[Check, ...]:
+def evidence(
+    kinds: str, numbers: dict, family: str, tolerance: float, locked: tuple[int, ...] = ()
+) -> tuple[Check, ...]:
     """The checks of one family, whether they hold or not; arguments as in `recognize`."""
-    return tuple(judged(kinds, numbers, family, tolerance)[0])
+    return tuple(judged(kinds, numbers, family, tolerance, locked)[0])
 
 
-def judged(kinds: str, numbers: dict, family: str, tolerance: float) -> Judgement:
+def judged(
+    kinds: str, numbers: dict, family: str, tolerance: float, locked: tuple[int, ...] = ()
+) -> Judgement:
     """What the rule of a family says of a table, also if it does not fit; arguments as in `recognize`."""
-    return RULES[family].judge(_table(kinds, numbers, 1, tolerance))
+    return RULES[family].judge(_table(*lock.inner(kinds, numbers, locked), 1, tolerance))
 
 
 def split_exactly(kinds: str, leaves: dict, verdict: Verdict) -> dict:
@@ -102,10 +130,11 @@ def split_exactly(kinds: str, leaves: dict, verdict: Verdict) -> dict:
     """
     if verdict.family is None or any(is_traced(leaves[key]) for key in ("a", "alpha", "d", "correction")):
         return leaves
-    change = nearly_split(_table(kinds, leaves, 1, FACT), verdict.family)
+    change = nearly_split(_table(*lock.inner(kinds, leaves, verdict.locked), 1, FACT), verdict.family)
     if change is None:
         return leaves
     name, place, value = change
+    place += lock.between(len(kinds), verdict.locked).start
     column, off = np.array(leaves[name], float), np.zeros((len(kinds) + 1, 6))
     if leaves["correction"] is not None:
         off = np.array(leaves["correction"], float)

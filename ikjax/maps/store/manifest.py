@@ -182,6 +182,8 @@ def arm_spec(arm: Arm) -> dict[str, Any]:
         leaf = getattr(arm, name)
         columns[name] = None if leaf is None else _numbers(leaf)
     facts = {key: getattr(arm, key) for key in _FACTS}
+    if arm.locked:
+        facts["locked"] = arm.locked
     return {"name": arm.name, "kinds": arm.kinds, "dtype": arm.dtype.name, **facts, **columns}
 
 
@@ -207,6 +209,7 @@ def arm_from_spec(spec: dict) -> Arm:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about twists that were rounded to a type
         arm = Arm.from_dh(**table, kinds=spec["kinds"], name=spec["name"], convention="standard", dtype=dtype)
+    locked = tuple(spec.get("locked", ()))
     # The numbers and the family as they were stored, whatever family such a table would be recognized as.
     stored: dict[str, Any] = {key: spec[key] for key in ("a", "alpha", "d", "theta", "correction")}
     stored = {key: None if value is None else jnp.asarray(value, arm.dtype) for key, value in stored.items()}
@@ -217,6 +220,7 @@ def arm_from_spec(spec: dict) -> Arm:
         signs=named_signs(spec["family"], spec["signs"]),
         branches=tuple(spec["branches"]),
         task=spec["task"],
+        locked=locked,
     )
 
 

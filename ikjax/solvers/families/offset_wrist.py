@@ -45,12 +45,11 @@ from ikjax.arm.forward import Link
 from ikjax.arm.recognition.signs import OffsetWristSigns
 from ikjax.core import circle_roots, safe, vector
 from ikjax.core.circle_roots import Series, column
-from ikjax.core.known import stop_gradient
 from ikjax.core.pose import Pose
 from ikjax.core.tolerances import KEEPS_JOINT_6, ONE_WAY, ROOT_NOISE, WAY_STEP
 from ikjax.core.trig import Angle, Scalar, add_small_angle, sincos
 from ikjax.core.vector import Vector, minus, plus, times
-from ikjax.core.xla import pin
+from ikjax.core.xla import pin, stop_gradient
 from ikjax.solvers.context import Branch, Setting
 from ikjax.solvers.families.pieper import reverse
 
