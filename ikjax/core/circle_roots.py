@@ -59,6 +59,9 @@ class Roots(NamedTuple):
 
     angle: Scalar
     """(2 m, ...) in [-pi, pi] [rad], in ascending order but for the last, which may be beyond pi."""
+    order: Scalar
+    """(2 m, ...) of which derivative the angle is a root: 0 of the polynomial itself, 1 of the first. Where
+    two roots of that are complex too, it is 2, and so on."""
     real: jax.Array
     """(2 m, ...) whether the polynomial changes its sign in the interval; if not, the angle is that of the
     extremum where it is nearer to zero."""
@@ -66,6 +69,8 @@ class Roots(NamedTuple):
     """(2 m, ...) whether that is the interval's first extremum."""
     extremum: Scalar
     """(2 m, ...) angle of the interval's first extremum; the second one is the first of the next interval."""
+    extremum_order: Scalar
+    """(2 m, ...) its order: 1 for an extremum; more where there are fewer than 2 m."""
 
 
 def column(values, like: jax.Array) -> jax.Array:
@@ -102,11 +107,11 @@ def real_roots(series: Series) -> Roots:
     chain = [series.derivative()]
     for _ in range(LEVELS - 1):
         chain.append(chain[-1].derivative())
-    start = _changes(chain[-1])
+    start, found = _changes(chain[-1])
     # One program for all levels below.
     levels = jax.tree.map(lambda *x: jnp.stack(x), *chain[-2::-1], series)
-    none = start == math.inf
-    roots, _ = jax.lax.scan(_between, Roots(start, none, none, start), levels)
+    order = pin(jnp.where(found, 0, LEVELS * jnp.ones_like(start)))
+    roots, _ = jax.lax.scan(_between, Roots(start, order, found, found, start, order), levels)
     angle = jnp.where(roots.angle > math.pi, roots.angle - 2 * math.pi, roots.angle)
     return roots._replace(angle=pin(angle))
 
@@ -127,10 +132,31 @@ def values(series: Series, angle: Scalar) -> tuple[Scalar, Scalar, Scalar]:
     return value, first, second
 
 
-def _changes(series: Series) -> jax.Array:
+def derivatives(series: Series, angle: Scalar, order: Scalar) -> tuple[Scalar, Scalar]:
+    """The derivative of an order, which may differ from angle to angle, and the next one, at an angle [rad]."""
+    s, c = sincos(angle)
+    x, y = c, s
+    even: Scalar = 0.0
+    odd: Scalar = 0.0
+    next_even: Scalar = 0.0
+    next_odd: Scalar = 0.0
+    for k in range(1, series.degree + 1):
+        a, b, size = series.cos[k : k + 1], series.sin[k : k + 1], jnp.exp(math.log(k) * order)
+        u, v = size * (a * x + b * y), size * (b * x - a * y)
+        even, odd, next_even, next_odd = even + u, odd + v, next_even + k * u, next_odd + k * v
+        if k < series.degree:
+            x, y = x * c - y * s, y * c + x * s
+    # Each derivative turns the phase by a quarter.
+    quarters = order - 4 * jnp.floor(order / 4)
+    cos = jnp.where(quarters == 0, 1, jnp.where(quarters == 2, -1, 0)).astype(x.dtype)
+    sin = jnp.where(quarters == 1, 1, jnp.where(quarters == 3, -1, 0)).astype(x.dtype)
+    return cos * even + sin * odd, cos * next_odd - sin * next_even
+
+
+def _changes(series: Series) -> tuple[jax.Array, jax.Array]:
     """Up to 2 m angles in ascending order at which the series changes its sign, by its values on a grid.
 
-    Where there are fewer, the rest are at the end of the grid.
+    Where there are fewer, the rest are at the end of the grid, and the second result is False.
     """
     start, step = -math.pi, 2 * math.pi / GRID
     t = start + step * np.arange(GRID)
@@ -154,7 +180,7 @@ def _changes(series: Series) -> jax.Array:
     right = jnp.minimum(left + step, math.pi)
     both = pin(values(series, jnp.concatenate([left, right]))[0])
     low, high = both[: 2 * series.degree], both[2 * series.degree :]
-    return _refined(series, (left, right), (low, high))[0]
+    return _refined(series, (left, right), (low, high))
 
 
 def _between(roots: Roots, series: Series) -> tuple[Roots, None]:
@@ -166,10 +192,14 @@ def _between(roots: Roots, series: Series) -> tuple[Roots, None]:
     # The last interval crosses pi: its root may belong to the front of the row.
     turned = jnp.concatenate([last - 2 * math.pi, roots.angle[:-1]])
     points = pin(jnp.where(last > math.pi, turned, roots.angle))
+    above = jnp.concatenate([roots.order[-1:], roots.order[:-1]])
+    above = pin(1 + jnp.where(last > math.pi, above, roots.order))
     low = pin(values(series, points)[0])
     high = shifted(low)
     angle, real = _refined(series, (points, shifted(points, 2 * math.pi)), (low, high))
-    return Roots(angle, real, abs(low) <= abs(high), points), None
+    first = abs(low) <= abs(high)
+    order = pin(jnp.where(real, 0, jnp.where(first, above, shifted(above))))
+    return Roots(angle, order, real, first, points, above), None
 
 
 def shifted(row: jax.Array, turn: float = 0.0) -> jax.Array:

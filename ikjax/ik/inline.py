@@ -28,7 +28,7 @@ from ikjax.core.pose import Pose, clean
 from ikjax.core.xla import AgreedRoots, divider, hidden, is_traced, pinning, stored, through_one_number
 from ikjax.ik.results import Solutions
 from ikjax.solvers.families import FAMILIES
-from ikjax.solvers.pipeline import Slot, each_slot, solve_rows, solve_scalars
+from ikjax.solvers.pipeline import Slot, each_slot, margin_rows, solve_rows, solve_scalars
 
 FIELDS = ("valid", "margin", "continuum", "position_error", "rotation_error")
 
@@ -61,8 +61,7 @@ def slots_of(
     goal, proper = _proper(arm, entries)
     free, finite = _finite(arm, redundancy)
     slots = solve_scalars(arm, goal, _fallback(arm, q_now), pose_tolerance, free)
-    mask = _mask(arm, proper, finite, entries[0][3].dtype)
-    return tuple(map(mask, slots))
+    return _masked(arm, slots, proper, finite, entries[0][3].dtype)
 
 
 def rows_of(
@@ -79,7 +78,17 @@ def rows_of(
     free, finite = _finite(arm, redundancy)
     rows = solve_rows(arm, goal, _fallback(arm, q_now), pose_tolerance, free)
     finite = None if finite is None else finite[None]
-    return _mask(arm, proper[None], finite, entries[0][3].dtype)(rows)._replace(is_pose=proper)
+    (rows,) = _masked(arm, (rows,), proper[None], finite, entries[0][3].dtype)
+    return rows._replace(is_pose=proper)
+
+
+def margins_of(arm: Arm, entries: Entries, fold: tuple, redundancy: jax.Array | None = None) -> jax.Array:
+    """The margins of `rows_of` with their derivatives, from the fold that it gave, (S, ...)."""
+    goal, proper = _proper(arm, entries)
+    free, finite = _finite(arm, redundancy)
+    margin = margin_rows(arm, goal, fold, free)
+    known = proper[None] if finite is None else (proper & finite)[None]
+    return jnp.where(known, margin, jax.lax.stop_gradient(margin))
 
 
 def _fallback(arm: Arm, q_now: jax.Array | None) -> tuple[jax.Array, ...] | None:
@@ -104,13 +113,15 @@ def _finite(arm: Arm, redundancy: jax.Array | None) -> tuple[tuple[jax.Array, ..
     return tuple(jnp.where(finite, value, 0) for value in given), finite
 
 
-def _mask(arm: Arm, proper: jax.Array, finite: jax.Array | None, dtype) -> Callable[[Slot], Slot]:
-    """What masks a slot where its goal is no pose, or a redundant joint not finite."""
+def _masked(
+    arm: Arm, slots: tuple[Slot, ...], proper: jax.Array, finite: jax.Array | None, dtype
+) -> tuple[Slot, ...]:
+    """Slots that are masked where their goal is no pose, or a redundant joint not finite."""
     # A goal that is no pose gets the largest errors, without derivatives.
     size = jax.lax.stop_gradient(jnp.asarray(reach(arm), dtype))
 
-    def masked(slot: Slot) -> Slot:
-        slot = slot._replace(
+    def of_pose(slot: Slot) -> Slot:
+        return slot._replace(
             valid=slot.valid & proper,
             margin=jnp.where(proper, slot.margin, -size),
             continuum=slot.continuum & proper,
@@ -118,15 +129,18 @@ def _mask(arm: Arm, proper: jax.Array, finite: jax.Array | None, dtype) -> Calla
             rotation_error=jnp.where(proper, slot.rotation_error, math.pi),
             is_pose=proper,
         )
-        if finite is None:
-            return slot
-        return slot._replace(
+
+    slots = tuple(map(of_pose, slots))
+    if finite is None:
+        return slots
+    return tuple(
+        slot._replace(
             valid=slot.valid & finite,
             margin=jnp.where(finite, slot.margin, -size),
             continuum=slot.continuum & finite,
         )
-
-    return masked
+        for slot in slots
+    )
 
 
 def is_small(arm: Arm) -> bool:

@@ -79,7 +79,7 @@ def solve(
     sol, slots = solve_inline(fixed_arm, fixed_goals, fixed_q, pose_tolerance, fixed_free)
     rule = DerivativeRule.of(arm, goals, damping, free)
     differentiable = dataclasses.replace(
-        sol, q=rule.joints(sol.q, sol.valid), margin=rule.margins(sol.margin)
+        sol, q=rule.joints(sol.q, sol.valid), margin=rule.margins(sol.margin, slots)
     )
     # Each number is read by several loops of whoever chooses among the slots.
     pin, shape = divider(goals[..., 0, 3]), goals.shape[:-2]

@@ -35,7 +35,7 @@ from ikjax.core import safe, vector
 from ikjax.core.pose import Pose
 from ikjax.core.tolerances import TINY, UNSEEN, VALID
 from ikjax.core.trig import Angle, Scalar, atan2, canonical, sincos, wrap
-from ikjax.core.xla import is_traced, pin, stop_gradient
+from ikjax.core.xla import is_traced, pin
 from ikjax.solvers.context import Branch, Joints, Setting, Slide, placed
 from ikjax.solvers.families import FAMILIES, Family
 from ikjax.solvers.given_arm import Given, polished, polished_rows, step_count
@@ -59,6 +59,8 @@ class Slot(NamedTuple):
     """Square of the larger error, in tolerances: valid slots have at most 1."""
     is_pose: jax.Array | bool = True
     """Whether the goal was a pose, which is known before it is cleaned."""
+    fold: tuple = ()
+    """See `Branch.fold`."""
 
 
 def as_solved(arm: Arm) -> Arm:
@@ -214,7 +216,7 @@ def solve_rows(
     dtype, family = jnp.result_type(goal.position[0]), FAMILIES[str(arm.family)]
     assert family.stacked is not None
     tolerance = VALID[dtype.name] if tolerance is None else tolerance
-    if RULES[str(arm.family)].wide and dtype == jnp.float32 and jnp.result_type(float) == jnp.float64:
+    if _is_wide(arm, dtype):
         return _in_float64(arm, goal, fallback, tolerance, free)
     frame, tip, setting = _prepared(arm, goal, fallback, free)
     allowed = tolerance * (1 + frame.per_reach * vector.norm(goal.position))
@@ -240,6 +242,29 @@ def each_slot(rows: Slot) -> tuple[Slot, ...]:
     return tuple(map(slot, range(len(rows.valid))))
 
 
+def margin_rows(arm: Arm, goal: Pose, fold: tuple, free: tuple[Scalar, ...] = ()) -> Scalar:
+    """The margins of `solve_rows` with their derivatives, from the `Slot.fold` that it gave."""
+    family = FAMILIES[str(arm.family)]
+    assert family.margins is not None
+    dtype = jnp.result_type(goal.position[0])
+    if _is_wide(arm, dtype):
+        goal, free, fold = _cast((goal, free, fold), jnp.float64)
+        return margin_rows(arm.astype(jnp.float64), goal, fold, free).astype(jnp.float32)
+    frame, tip, _ = _prepared(arm, goal, None, free)
+    margin = family.margins(arm.signs, frame.links, tip, fold)
+    return frame.reach * jnp.minimum(margin, 1)
+
+
+def _is_wide(arm: Arm, dtype) -> bool:
+    """Whether goals of a type are solved in float64."""
+    return RULES[str(arm.family)].wide and dtype == jnp.float32 and jnp.result_type(float) == jnp.float64
+
+
+def _cast(tree, dtype):
+    """The tree with its arrays in a type."""
+    return jax.tree.map(lambda x: x.astype(dtype) if hasattr(x, "astype") else x, tree)
+
+
 def _in_float64(
     arm: Arm,
     goal: Pose,
@@ -248,11 +273,7 @@ def _in_float64(
     free: tuple[Scalar, ...],
 ) -> Slot:
     """The slots of a float32 goal, computed in float64."""
-
-    def cast(tree, dtype):
-        return jax.tree.map(lambda x: x.astype(dtype) if hasattr(x, "astype") else x, tree)
-
-    goal, fallback, free = cast((goal, fallback, free), jnp.float64)
+    goal, fallback, free = _cast((goal, fallback, free), jnp.float64)
     slot = solve_rows(arm.astype(jnp.float64), goal, fallback, tolerance, free)
 
     def narrow(x):
@@ -293,6 +314,7 @@ class _Measure(NamedTuple):
             frame.reach * safe.sqrt(gap_squared),
             2 * atan2(half, safe.sqrt((1 - half) * (1 + half))),
             jnp.maximum(gap_squared / (length * length), turn_squared / (2 * angle**2)),
+            fold=branch.fold,
         )
 
 
@@ -303,12 +325,10 @@ def _finished(
 
     The closed form is exact but beside folds, where its angles are good to the root of the rounding.
     """
-    # Derivatives of joints are a rule of their own (`ik.solve_gradient`).
-    given, start, goal = stop_gradient((given, slots.joints, goal))
-    margin = stop_gradient(slots.margin)
-    size = stop_gradient(vector.plus(setting.rounding**0.5, 32 * setting.correction_size))
+    size = vector.plus(setting.rounding**0.5, 32 * setting.correction_size)
     steps = 0 if given.between is None else step_count(setting.correction_size, allowed[1])
-    joints, *squares = polished_rows(given, start, margin, goal, True, allowed, setting, steps, size)
+    found = polished_rows(given, slots.joints, slots.margin, goal, True, allowed, setting, steps, size)
+    joints, *squares = found
     joints = tuple(setting.angle(joint.sin, joint.cos) for joint in joints)
     return slots._replace(joints=joints), (squares[0], squares[1])
 

@@ -15,6 +15,7 @@ file names, and set for the second.
 from collections.abc import Callable
 from typing import NamedTuple
 
+from ikjax.core.trig import Scalar
 from ikjax.solvers.context import Branch, Joints
 from ikjax.solvers.families import (
     five_axis,
@@ -53,6 +54,8 @@ class Family(NamedTuple):
     stacked: Callable[..., Branch] | None = None
     """As `branches`, but all slots are one `Branch`, whose numbers have the slots as their first axis: where
     there are so many that a program should contain each step once. Newton's method finishes them."""
+    margins: Callable[..., Scalar] | None = None
+    """(signs, links, goal, `Branch.fold`) -> the margins of `stacked`, to be differentiated."""
 
 
 FAMILIES = {
@@ -61,9 +64,19 @@ FAMILIES = {
     "pieper": Family(pieper.branches, first=3, last=0),
     "pieper_reversed": Family(pieper.reversed_branches, first=0, last=3),
     "parallel_axes": Family(parallel_axes.branches, first=0, last=0),
-    "offset_wrist": Family(offset_wrist.branches, first=0, last=0, stacked=offset_wrist.stacked),
+    "offset_wrist": Family(
+        offset_wrist.branches,
+        first=0,
+        last=0,
+        stacked=offset_wrist.stacked,
+        margins=offset_wrist.margins,
+    ),
     "offset_wrist_reversed": Family(
-        offset_wrist.reversed_branches, first=0, last=0, stacked=offset_wrist.reversed_stacked
+        offset_wrist.reversed_branches,
+        first=0,
+        last=0,
+        stacked=offset_wrist.reversed_stacked,
+        margins=offset_wrist.reversed_margins,
     ),
     "scara": Family(scara.branches, first=0, last=0, small=True),
     "five_axis": Family(

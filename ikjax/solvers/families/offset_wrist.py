@@ -259,6 +259,11 @@ class Problem(NamedTuple):
     """Whether the variable is joint 1 (twice joint 1 where front and back share roots), else joint 6."""
     shared: bool
 
+    @property
+    def degree(self) -> int:
+        """Of the polynomial."""
+        return 4 if self.shared else 8
+
     def front(self, sine: Scalar, cosine: Scalar) -> Front:
         """Both eliminations at their variable, of which one is taken."""
         half = _half(sine, cosine) if self.shared else (sine, cosine)
@@ -355,10 +360,18 @@ def equations(problem: Problem, front: Front) -> tuple[Scalar, ...]:
     return tuple(values)
 
 
-def formulate(constants: Constants, goal: Pose, shared: bool) -> tuple[Problem, Series]:
-    """The equation of a goal, and the coefficients of its polynomial, the largest value of which is one."""
-    degree = 4 if shared else 8
-    count = 2 * degree + 2
+def formulate(
+    constants: Constants, goal: Pose, shared: bool, by_joint_1: jax.Array | None = None
+) -> tuple[Problem, Series]:
+    """The equation of a goal, and the coefficients of its polynomial, the largest value of which is one.
+
+    Args:
+        constants: Of the arm.
+        goal: The pose.
+        shared: Whether front and back share roots.
+        by_joint_1: Whether the variable is joint 1, where that is decided already.
+    """
+    count = 10 if shared else 18
     first = 0.5 * math.pi / count
     goal = jax.tree.map(lambda x: jnp.asarray(x)[None], goal)
     seen = jax.tree.map(pin, seen_from_goal(constants, goal))
@@ -368,6 +381,18 @@ def formulate(constants: Constants, goal: Pose, shared: bool) -> tuple[Problem, 
     by_6 = front_of_joint_6(constants, seen, sine, cosine)
     half = _half(sine, cosine) if shared else (sine, cosine)
     by_1 = front_of_joint_1(constants, seen, *half)
+    if by_joint_1 is None:
+        by_joint_1 = _decided(constants, by_6, by_1)
+    problem = Problem(constants, seen, by_joint_1, shared)
+    front = jax.tree.map(lambda a, b: _choose(by_joint_1, a, b), by_1, by_6)
+    samples = pin(polynomial(problem, front))
+    largest = jnp.max(abs(samples), axis=0, keepdims=True)
+    samples = pin(samples * safe.divide(1.0, largest))
+    return problem, jax.tree.map(pin, circle_roots.interpolated(samples, first))
+
+
+def _decided(constants: Constants, by_6: Front, by_1: Front) -> jax.Array:
+    """Whether joint 1 is the variable."""
     # How near W comes to axis 1, and axis 6 to the direction of axis 2, where the variable tells nothing.
     near_6, near_1 = (
         jnp.min(2 * front.weight - front.square, axis=0, keepdims=True) for front in (by_6, by_1)
@@ -375,13 +400,20 @@ def formulate(constants: Constants, goal: Pose, shared: bool) -> tuple[Problem, 
     five = constants.links[4]
     radius_squared = five.a**2 + (five.sin_alpha * five.d) ** 2
     by_joint_1 = (near_6 < radius_squared) & ((near_1 > KEEPS_JOINT_6 * radius_squared) | (near_6 < near_1))
-    by_joint_1 = pin(jnp.where(by_joint_1, jnp.ones_like(near_6), 0)) > 0
-    problem = Problem(constants, seen, by_joint_1, shared)
-    front = jax.tree.map(lambda a, b: _choose(by_joint_1, a, b), by_1, by_6)
-    samples = pin(polynomial(problem, front))
-    largest = jnp.max(abs(samples), axis=0, keepdims=True)
-    samples = pin(samples * safe.divide(1.0, largest))
-    return problem, jax.tree.map(pin, circle_roots.interpolated(samples, first))
+    return pin(jnp.where(by_joint_1, jnp.ones_like(near_6), 0)) > 0
+
+
+class Fold(NamedTuple):
+    """Where a margin is measured: at an extremum of the polynomial, (S, ...)."""
+
+    angle: Scalar
+    """[rad] Of the variable."""
+    order: Scalar
+    """As in `circle_roots.Roots`."""
+    sign: Scalar
+    """Of the margin; zero where it is constant."""
+    by_joint_1: Scalar
+    """1 where the variable is joint 1, else 0."""
 
 
 class Candidate(NamedTuple):
@@ -392,17 +424,14 @@ class Candidate(NamedTuple):
     shoulder: Scalar
     elbow: Scalar
     margin: Scalar
+    fold: Fold
 
 
 def candidates(problem: Problem, series: Series, setting: Setting) -> Candidate:
-    """One candidate for each interval of the polynomial, (2 m, ...); only its margin has derivatives.
-
-    Those of joints are a rule of their own (`ik.solve_gradient`).
-    """
-    roots = circle_roots.real_roots(stop_gradient(series))
+    """One candidate for each interval of the polynomial, (2 m, ...)."""
+    roots = circle_roots.real_roots(series)
     sine, cosine = (pin(x) for x in sincos(roots.angle))
-    margin = pin(_margins(problem, roots._replace(extremum=_carried(series, roots.extremum))))
-    problem, series = stop_gradient((problem, series))
+    margin, fold = _margins(problem, roots)
     way, step = _ways(problem, series, roots.angle, sine, cosine, setting)
     # From an extremum that is no root a step would lead to another candidate's root.
     step = jnp.where(margin >= -(setting.rounding**0.5), step, 0)
@@ -411,7 +440,7 @@ def candidates(problem: Problem, series: Series, setting: Setting) -> Candidate:
     shoulder, elbow = jnp.where(way >= 2, -1, 1), jnp.where((way == 1) | (way == 3), -1, 1)
     dtype = sine.dtype
     return Candidate(
-        pin(sine * size), pin(cosine * size), shoulder.astype(dtype), elbow.astype(dtype), margin
+        pin(sine * size), pin(cosine * size), shoulder.astype(dtype), elbow.astype(dtype), margin, fold
     )
 
 
@@ -468,37 +497,65 @@ def _uncertainty(series: Series, angle: Scalar, setting: Setting) -> Scalar:
     return spread + setting.rounding**0.5
 
 
-def _carried(series: Series, extremum: Scalar) -> Scalar:
-    """The same angles, with the derivatives of roots of the polynomial's derivative."""
-    _, first, second = circle_roots.values(series, extremum)
-    rounding = float(jnp.finfo(extremum.dtype).eps)
-    per = stop_gradient(second / (second * second + rounding))
-    # Where there are fewer extrema, the rest are no roots and stay where they are.
-    per = jnp.where(abs(stop_gradient(first)) * abs(per) < rounding**0.5, per, 0)
-    return extremum - per * (first - stop_gradient(first))
-
-
-def _margins(problem: Problem, roots: circle_roots.Roots) -> Scalar:
+def _margins(problem: Problem, roots: circle_roots.Roots) -> tuple[Scalar, Fold]:
     """How far the goal can move before the candidate's interval loses its root, to first order.
 
-    The root is lost where an extremum at an end of the interval is zero: the distance of the goal from there
-    is the polynomial over its gradient in the position.
+    The root is lost where an extremum at an end of the interval is zero.
     """
-    sine, cosine = (pin(x) for x in sincos(roots.extremum))
+    clearance = _clearance(problem, roots.extremum, roots.extremum_order)
+    following = circle_roots.shifted(clearance)
+    first = jnp.where(roots.real, clearance <= following, roots.first)
+    sign = pin(jnp.where(roots.real, jnp.ones_like(clearance), -1))
 
-    def value(*shift):
+    def nearer(x, turn: float = 0.0):
+        return pin(jnp.where(first, x, circle_roots.shifted(x, turn)))
+
+    by_joint_1 = problem.by_joint_1.astype(clearance.dtype) * jnp.ones_like(clearance)
+    angle = nearer(roots.extremum, 2 * math.pi)
+    return sign * nearer(clearance), Fold(angle, nearer(roots.extremum_order), sign, by_joint_1)
+
+
+def _clearance(problem: Problem, extremum: Scalar, order: Scalar) -> Scalar:
+    """How far the goal is from where the extremum is zero: the polynomial over its gradient in the position.
+
+    Where two extrema are complex their place has a derivative that is not zero. As far as that is, over the
+    degree, the value of the polynomial has to move before they are real (Bernstein's inequality).
+    """
+    sine, cosine = (pin(x) for x in sincos(extremum))
+
+    def value(sine, cosine, *shift):
         center = problem.seen.center
         moved = center._replace(fixed=tuple(map(jnp.add, center.fixed, shift)))
         there = problem._replace(seen=problem.seen._replace(center=moved))
         return polynomial(there, there.front(sine, cosine), apart=False)
 
     zero = jnp.zeros_like(sine)
-    height, pull = jax.vjp(value, zero, zero, zero)
-    gradient = safe.norm(*pull(jnp.ones_like(height)))
-    clearance = pin(jnp.minimum(abs(height) * safe.divide(1.0, gradient), 1))
-    following = circle_roots.shifted(clearance)
-    missed = -jnp.where(roots.first, clearance, following)
-    return jnp.where(roots.real, jnp.minimum(clearance, following), missed)
+    height, pull = jax.vjp(value, sine, cosine, zero, zero, zero)
+    by_sine, by_cosine, *gradient = pull(jnp.ones_like(height))
+    rate = abs(cosine * by_sine - sine * by_cosine) / problem.degree
+    height = abs(height) + jnp.where(order > 1, rate, 0)
+    return pin(jnp.minimum(height * safe.divide(1.0, safe.norm(*gradient)), 1))
+
+
+def _carried(series: Series, fold: Fold) -> Scalar:
+    """The angle of the extremum, with its derivatives as a root of a derivative of the polynomial."""
+    value, slope = circle_roots.derivatives(series, fold.angle, fold.order)
+    slope = stop_gradient(slope)
+    # Beyond the highest derivative is no root: there the angle is fixed.
+    fixed = fold.order > circle_roots.LEVELS
+    per = jnp.where(fixed, 0, slope / (slope * slope + jnp.finfo(slope.dtype).eps))
+    return fold.angle - per * (value - stop_gradient(value))
+
+
+def margins(signs: OffsetWristSigns, links: tuple[Link, ...], goal: Pose, fold: Fold) -> Scalar:
+    """The margins of `stacked` at their folds, with their derivatives."""
+    problem, series = formulate(constants(signs, links), goal, bool(signs.shared), fold.by_joint_1[:1] > 0)
+    return fold.sign * _clearance(problem, _carried(series, fold), fold.order)
+
+
+def reversed_margins(signs: OffsetWristSigns, links: tuple[Link, ...], goal: Pose, fold: Fold) -> Scalar:
+    """Those of `reversed_stacked`."""
+    return margins(signs, *reverse(links, goal), fold)
 
 
 class Place(NamedTuple):
@@ -514,6 +571,7 @@ class Place(NamedTuple):
     elbow: Scalar
     """The sign of E."""
     margin: Scalar
+    fold: Fold
 
 
 def places_of(problem: Problem, found: Candidate) -> Place:
@@ -521,7 +579,7 @@ def places_of(problem: Problem, found: Candidate) -> Place:
     front = problem.front(found.sine, found.cosine)
     way = front.way.at(found.shoulder * safe.sqrt(front.square))
     one, six = (_unit(*turn) for turn in (way.turn1, way.turn6))
-    place = Place(way.x, way.y, one[0], one[1], six[0], six[1], found.elbow, found.margin)
+    place = Place(way.x, way.y, one[0], one[1], six[0], six[1], found.elbow, found.margin, found.fold)
     place = jax.tree.map(lambda x: pin(x + jnp.zeros_like(found.sine)), place)
     if not problem.shared:
         return place
@@ -534,7 +592,7 @@ def joints_of(problem: Problem, rotation, place: Place):
     """Sines and cosines of the six joints."""
     constants = problem.constants
     one, two, three, four, _ = constants.links[:5]
-    x, y, one_sin, one_cos, six_sin, six_cos, elbow, _ = place
+    x, y, one_sin, one_cos, six_sin, six_cos, elbow, *_ = place
     span = x * x + y * y
     bend = elbow * safe.sqrt(elbow_squared(constants, span))
     level = (span + plus(constants.fore_squared, minus(times(two.a, two.a)))) / 2
@@ -593,7 +651,6 @@ def stacked(signs: OffsetWristSigns, links: tuple[Link, ...], goal: Pose, settin
     table = constants(signs, links)
     problem, series = formulate(table, goal, bool(signs.shared))
     found = candidates(problem, series, setting)
-    problem = stop_gradient(problem)
     free = _one_line(goal, setting)[None]
     # Joint 6 is arbitrary: each slot stands for one way, and the equation does not depend on joint 6.
     places = column(range(found.sine.shape[0]), found.sine)
@@ -606,11 +663,13 @@ def stacked(signs: OffsetWristSigns, links: tuple[Link, ...], goal: Pose, settin
         jnp.where(free, jnp.where(turn >= 2, -1, 1).astype(turn.dtype), found.shoulder),
         jnp.where(free, jnp.where((turn == 1) | (turn == 3), -1, 1).astype(turn.dtype), found.elbow),
         jnp.where(free, jnp.zeros_like(found.margin), found.margin),
+        found.fold._replace(sign=jnp.where(free, 0, found.fold.sign)),
     )
     place = _in_slots(signs, plus(0.0, table.links[0].a), places_of(problem, found), setting)
     pairs = joints_of(problem, jax.tree.map(lambda x: x[None], goal.rotation), place)
     joints = tuple(Angle(sine, cosine, ()) for sine, cosine in pairs)
-    return Branch(joints, goal, place.margin, jnp.broadcast_to(free, place.margin.shape))
+    continuum = jnp.broadcast_to(free, place.margin.shape)
+    return Branch(joints, goal, place.margin, continuum, fold=place.fold)
 
 
 def _one_line(goal: Pose, setting: Setting) -> jax.Array:
@@ -638,18 +697,14 @@ def _in_slots(signs: OffsetWristSigns, first: Scalar, place: Place, setting: Set
     down = place.elbow * ahead * (signs.up * signs.sin_alpha1) > 0
     group = pin(jnp.where(back, 1, 0).astype(key.dtype) + jnp.where(down, 2, 0))
     live = pin(jnp.where(place.margin >= -(setting.rounding**0.5), jnp.ones_like(key), 0))
-    rank, beyond = jnp.zeros_like(key), jnp.zeros_like(key)
     places = column(range(SLOTS), key)
-    for j in range(SLOTS):
-        this = slice(j, j + 1)
-        before = (key[this] < key) | ((key[this] == key) & (j < places))
-        rank = rank + jnp.where((live[this] > 0) & (group[this] == group) & before, 1, 0)
-    rank = pin(rank)
+    # Of each candidate (first axis) against each (second axis).
+    before = (key[:, None] < key) | ((key[:, None] == key) & (places[:, None] < places))
+    ahead_of = (live[:, None] > 0) & (group[:, None] == group) & before
+    rank = pin(jnp.sum(jnp.where(ahead_of, jnp.ones_like(key), 0), axis=0))
     seated = (live > 0) & (rank < 4)
     waiting = pin(jnp.where(seated, jnp.zeros_like(key), 1))
-    for j in range(SLOTS):
-        beyond = beyond + jnp.where(j < places, waiting[j : j + 1], 0)
-    beyond = pin(beyond)
+    beyond = pin(jnp.sum(jnp.where(places[:, None] < places, waiting[:, None], 0), axis=0))
     # Slots of a branch are filled from its first; the others go to candidates that wait, in order.
     free, target = jnp.zeros_like(key[:1]), group + 4 * rank
     for g in range(4):
@@ -659,13 +714,10 @@ def _in_slots(signs: OffsetWristSigns, first: Scalar, place: Place, setting: Set
         target = jnp.where(mine, g + 4 * (taken + beyond - free), target)
         free = pin(free + 4 - taken)
     target = pin(target)
-    at = [target[j : j + 1] == places for j in range(SLOTS)]
-    source = pin(sum(jnp.where(here, j, 0).astype(key.dtype) for j, here in enumerate(at)))
-
-    def moved(x):
-        return pin(sum(jnp.where(source == j, x[j : j + 1], 0) for j in range(SLOTS)))
-
-    return jax.tree.map(moved, place)
+    numbers, form = jax.tree.flatten(place)
+    here = target[None, :, None] == places[None, None]
+    moved = jnp.sum(jnp.where(here, jnp.stack(numbers)[:, :, None], 0), axis=1)
+    return jax.tree.unflatten(form, [pin(x) for x in moved])
 
 
 def reversed_stacked(
