@@ -133,7 +133,7 @@ def values(series: Series, angle: Scalar) -> tuple[Scalar, Scalar, Scalar]:
 
 
 def derivatives(series: Series, angle: Scalar, order: Scalar) -> tuple[Scalar, Scalar]:
-    """The derivative of an order, which may differ from angle to angle, and the next one, at an angle [rad]."""
+    """The derivative of an order, which may differ from angle to angle, and the next one, at angles [rad]."""
     s, c = sincos(angle)
     x, y = c, s
     even: Scalar = 0.0

@@ -20,7 +20,8 @@ FAMILY = {
     "gx4_351s": "scara",
     **dict.fromkeys(["stanford", "iiwa7", "iiwa14", "rm75", "gen3"], "pieper"),
     **dict.fromkeys(["fer", "fr3", "xarm7", "gen72"], "pieper_reversed"),
-    **dict.fromkeys(["cobotta", "crx10ia", "gen3lite", "gofa5", "hc10", "xarm6"], "offset_wrist"),
+    **dict.fromkeys(["cobotta", "crx10ia", "gen3lite", "gofa5", "gofa10"], "offset_wrist"),
+    **dict.fromkeys(["hc10", "link6", "xarm6"], "offset_wrist"),
 }
 TASKS = {"planar_pose": "planar_pose", "planar_position": "planar_position"}
 TABLES = {

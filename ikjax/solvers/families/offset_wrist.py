@@ -699,12 +699,13 @@ def _in_slots(signs: OffsetWristSigns, first: Scalar, place: Place, setting: Set
     live = pin(jnp.where(place.margin >= -(setting.rounding**0.5), jnp.ones_like(key), 0))
     places = column(range(SLOTS), key)
     # Of each candidate (first axis) against each (second axis).
-    before = (key[:, None] < key) | ((key[:, None] == key) & (places[:, None] < places))
-    ahead_of = (live[:, None] > 0) & (group[:, None] == group) & before
+    sooner = places[:, None] < places[None]
+    before = (key[:, None] < key[None]) | ((key[:, None] == key[None]) & sooner)
+    ahead_of = (live[:, None] > 0) & (group[:, None] == group[None]) & before
     rank = pin(jnp.sum(jnp.where(ahead_of, jnp.ones_like(key), 0), axis=0))
     seated = (live > 0) & (rank < 4)
     waiting = pin(jnp.where(seated, jnp.zeros_like(key), 1))
-    beyond = pin(jnp.sum(jnp.where(places[:, None] < places, waiting[:, None], 0), axis=0))
+    beyond = pin(jnp.sum(jnp.where(sooner, waiting[:, None], 0), axis=0))
     # Slots of a branch are filled from its first; the others go to candidates that wait, in order.
     free, target = jnp.zeros_like(key[:1]), group + 4 * rank
     for g in range(4):
@@ -715,7 +716,7 @@ def _in_slots(signs: OffsetWristSigns, first: Scalar, place: Place, setting: Set
         free = pin(free + 4 - taken)
     target = pin(target)
     numbers, form = jax.tree.flatten(place)
-    here = target[None, :, None] == places[None, None]
+    here = (target[:, None] == places[None])[None]
     moved = jnp.sum(jnp.where(here, jnp.stack(numbers)[:, :, None], 0), axis=1)
     return jax.tree.unflatten(form, [pin(x) for x in moved])
 
