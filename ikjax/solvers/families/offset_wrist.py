@@ -258,6 +258,8 @@ class Problem(NamedTuple):
     by_joint_1: jax.Array
     """Whether the variable is joint 1 (twice joint 1 where front and back share roots), else joint 6."""
     shared: bool
+    scale: Scalar
+    """The polynomial's largest value [its own unit]; its coefficients are divided by that."""
 
     @property
     def degree(self) -> int:
@@ -269,7 +271,7 @@ class Problem(NamedTuple):
         half = _half(sine, cosine) if self.shared else (sine, cosine)
         by_1 = front_of_joint_1(self.constants, self.seen, *half)
         by_6 = front_of_joint_6(self.constants, self.seen, sine, cosine)
-        return jax.tree.map(lambda a, b: _choose(self.by_joint_1, a, b), by_1, by_6)
+        return jax.tree.map(lambda a, b: pin(_choose(self.by_joint_1, a, b)), by_1, by_6)
 
 
 def _choose(which: jax.Array, a: Scalar, b: Scalar) -> Scalar:
@@ -307,7 +309,7 @@ def terms(constants: Constants, way: Way, field) -> Terms:
     pull = add(scale(kr, u), scale(ki, v)), add(scale(kr, v), scale(minus(ki), u))
     rest = add(scale(constants.along, w), field.number(minus(four.cos_alpha)))
     cross = add(multiply(pull[0], way.y), scale(-1.0, multiply(pull[1], way.x)))
-    return Terms(span, level, pull, rest, cross)
+    return jax.tree.map(pin, Terms(span, level, pull, rest, cross))
 
 
 def _product(constants: Constants, way: Way, field):
@@ -316,6 +318,7 @@ def _product(constants: Constants, way: Way, field):
     add, multiply = field.add, field.multiply
     first = add(multiply(t.level, t.pull[0]), multiply(t.rest, way.x))
     second = add(multiply(t.level, t.pull[1]), multiply(t.rest, way.y))
+    first, second = jax.tree.map(pin, (first, second))
     squares = add(multiply(first, first), multiply(second, second))
     return add(squares, field.scale(minus(constants.fore_squared), multiply(t.cross, t.cross)))
 
@@ -383,12 +386,12 @@ def formulate(
     by_1 = front_of_joint_1(constants, seen, *half)
     if by_joint_1 is None:
         by_joint_1 = _decided(constants, by_6, by_1)
-    problem = Problem(constants, seen, by_joint_1, shared)
-    front = jax.tree.map(lambda a, b: _choose(by_joint_1, a, b), by_1, by_6)
+    problem = Problem(constants, seen, by_joint_1, shared, jnp.ones_like(like))
+    front = jax.tree.map(lambda a, b: pin(_choose(by_joint_1, a, b)), by_1, by_6)
     samples = pin(polynomial(problem, front))
-    largest = jnp.max(abs(samples), axis=0, keepdims=True)
+    largest = stop_gradient(jnp.max(abs(samples), axis=0, keepdims=True))
     samples = pin(samples * safe.divide(1.0, largest))
-    return problem, jax.tree.map(pin, circle_roots.interpolated(samples, first))
+    return problem._replace(scale=largest), jax.tree.map(pin, circle_roots.interpolated(samples, first))
 
 
 def _decided(constants: Constants, by_6: Front, by_1: Front) -> jax.Array:
@@ -414,6 +417,8 @@ class Fold(NamedTuple):
     """Of the margin; zero where it is constant."""
     by_joint_1: Scalar
     """1 where the variable is joint 1, else 0."""
+    direction: Vector
+    """In which the polynomial grows most there, as a unit vector of positions of the goal."""
 
 
 class Candidate(NamedTuple):
@@ -502,7 +507,7 @@ def _margins(problem: Problem, roots: circle_roots.Roots) -> tuple[Scalar, Fold]
 
     The root is lost where an extremum at an end of the interval is zero.
     """
-    clearance = _clearance(problem, roots.extremum, roots.extremum_order)
+    clearance, direction = _clearance(problem, roots.extremum, roots.extremum_order)
     following = circle_roots.shifted(clearance)
     first = jnp.where(roots.real, clearance <= following, roots.first)
     sign = pin(jnp.where(roots.real, jnp.ones_like(clearance), -1))
@@ -511,30 +516,56 @@ def _margins(problem: Problem, roots: circle_roots.Roots) -> tuple[Scalar, Fold]
         return pin(jnp.where(first, x, circle_roots.shifted(x, turn)))
 
     by_joint_1 = problem.by_joint_1.astype(clearance.dtype) * jnp.ones_like(clearance)
-    angle = nearer(roots.extremum, 2 * math.pi)
-    return sign * nearer(clearance), Fold(angle, nearer(roots.extremum_order), sign, by_joint_1)
+    angle, order = nearer(roots.extremum, 2 * math.pi), nearer(roots.extremum_order)
+    x, y, z = map(nearer, direction)
+    return sign * nearer(clearance), Fold(angle, order, sign, by_joint_1, (x, y, z))
 
 
-def _clearance(problem: Problem, extremum: Scalar, order: Scalar) -> Scalar:
+def _clearance(problem: Problem, extremum: Scalar, order: Scalar) -> tuple[Scalar, Vector]:
     """How far the goal is from where the extremum is zero: the polynomial over its gradient in the position.
 
     Where two extrema are complex their place has a derivative that is not zero. As far as that is, over the
-    degree, the value of the polynomial has to move before they are real (Bernstein's inequality).
+    degree, the value of the polynomial has to move before they are real (Bernstein's inequality). The second
+    result is the gradient's direction.
     """
     sine, cosine = (pin(x) for x in sincos(extremum))
-
-    def value(sine, cosine, *shift):
-        center = problem.seen.center
-        moved = center._replace(fixed=tuple(map(jnp.add, center.fixed, shift)))
-        there = problem._replace(seen=problem.seen._replace(center=moved))
-        return polynomial(there, there.front(sine, cosine), apart=False)
-
     zero = jnp.zeros_like(sine)
+    value = functools.partial(_polynomial_at, problem)
     height, pull = jax.vjp(value, sine, cosine, zero, zero, zero)
     by_sine, by_cosine, *gradient = pull(jnp.ones_like(height))
-    rate = abs(cosine * by_sine - sine * by_cosine) / problem.degree
-    height = abs(height) + jnp.where(order > 1, rate, 0)
-    return pin(jnp.minimum(height * safe.divide(1.0, safe.norm(*gradient)), 1))
+    rate = cosine * by_sine - sine * by_cosine
+    per = pin(safe.divide(1.0, safe.norm(*gradient)))
+    x, y, z = (pin(g * per) for g in gradient)
+    return pin(jnp.minimum(_height(problem, height, rate, order) * per, 1)), (x, y, z)
+
+
+def _polynomial_at(problem: Problem, sine: Scalar, cosine: Scalar, *shift: Scalar) -> Scalar:
+    """The polynomial at an angle of a goal that is shifted."""
+    center = problem.seen.center
+    moved = center._replace(fixed=tuple(map(jnp.add, center.fixed, shift)))
+    there = problem._replace(seen=problem.seen._replace(center=moved))
+    return polynomial(there, there.front(sine, cosine), apart=False)
+
+
+def _height(problem: Problem, value: Scalar, rate: Scalar, order: Scalar) -> Scalar:
+    return abs(value) + jnp.where(order > 1, abs(rate) / problem.degree, 0)
+
+
+def margins(signs: OffsetWristSigns, links: tuple[Link, ...], goal: Pose, fold: Fold) -> Scalar:
+    """The margins of `stacked` at their folds, with their derivatives.
+
+    The derivative of the gradient's length is that of its part in the gradient's direction.
+    """
+    problem, series = formulate(constants(signs, links), goal, bool(signs.shared), fold.by_joint_1[:1] > 0)
+    extremum = pin(_carried(series, fold))
+    sine, cosine = (pin(x) for x in sincos(extremum))
+
+    def value(way: Scalar) -> Scalar:
+        return _polynomial_at(problem, sine, cosine, *(way * x for x in fold.direction))
+
+    height, pull = jax.jvp(value, (jnp.zeros_like(sine),), (jnp.ones_like(sine),))
+    rate = problem.scale * circle_roots.values(series, extremum)[1]
+    return fold.sign * _height(problem, height, rate, fold.order) * safe.divide(1.0, pull)
 
 
 def _carried(series: Series, fold: Fold) -> Scalar:
@@ -545,12 +576,6 @@ def _carried(series: Series, fold: Fold) -> Scalar:
     fixed = fold.order > circle_roots.LEVELS
     per = jnp.where(fixed, 0, slope / (slope * slope + jnp.finfo(slope.dtype).eps))
     return fold.angle - per * (value - stop_gradient(value))
-
-
-def margins(signs: OffsetWristSigns, links: tuple[Link, ...], goal: Pose, fold: Fold) -> Scalar:
-    """The margins of `stacked` at their folds, with their derivatives."""
-    problem, series = formulate(constants(signs, links), goal, bool(signs.shared), fold.by_joint_1[:1] > 0)
-    return fold.sign * _clearance(problem, _carried(series, fold), fold.order)
 
 
 def reversed_margins(signs: OffsetWristSigns, links: tuple[Link, ...], goal: Pose, fold: Fold) -> Scalar:
