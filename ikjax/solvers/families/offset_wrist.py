@@ -437,7 +437,11 @@ def candidates(problem: Problem, series: Series, setting: Setting) -> Candidate:
     roots = circle_roots.real_roots(series)
     sine, cosine = (pin(x) for x in sincos(roots.angle))
     margin, fold = _margins(problem, roots)
-    way, step = _ways(problem, series, roots.angle, sine, cosine, setting)
+    way, step, loose = _ways(problem, series, roots.angle, sine, cosine, setting)
+    # Where roots of several ways coincide the polynomial tells nothing of folds, but each way has a root.
+    coincide = (margin < 0) & (abs(step) <= loose)
+    margin = pin(jnp.where(coincide, 0, margin))
+    fold = fold._replace(sign=pin(jnp.where(coincide, 0, fold.sign)))
     # From an extremum that is no root a step would lead to another candidate's root.
     step = jnp.where(margin >= -(setting.rounding**0.5), step, 0)
     sine, cosine = add_small_angle(sine, cosine, step)
@@ -449,8 +453,13 @@ def candidates(problem: Problem, series: Series, setting: Setting) -> Candidate:
     )
 
 
-def _ways(problem: Problem, series: Series, angle, sine, cosine, setting: Setting) -> tuple[Scalar, Scalar]:
-    """Which of the four equations has its root at each root of the polynomial, and the step to it [rad]."""
+def _ways(
+    problem: Problem, series: Series, angle: Scalar, sine: Scalar, cosine: Scalar, setting: Setting
+) -> tuple[Scalar, Scalar, Scalar]:
+    """Which of the four equations has its root at each root of the polynomial.
+
+    Further, the step to it [rad], and how far rounding may have moved the root [rad].
+    """
 
     def at(s, c):
         front = problem.front(s, c)
@@ -458,7 +467,7 @@ def _ways(problem: Problem, series: Series, angle, sine, cosine, setting: Settin
 
     loose = pin(_uncertainty(series, angle, setting))
     # How many roots before this one are at the same place.
-    near = [jnp.abs(angle - _before(angle, k)) < 2 * (loose + _before(loose, k)) for k in range(1, 4)]
+    near = [_apart(angle, _before(angle, k)) < 2 * (loose + _before(loose, k)) for k in range(1, 4)]
     order = jnp.where(near[0], jnp.where(near[1], jnp.where(near[2], 3, 2), 1), 0)
     order = pin(order.astype(sine.dtype))
     found, rates = jax.jvp(at, (sine, cosine), (cosine, -sine))
@@ -481,12 +490,18 @@ def _ways(problem: Problem, series: Series, angle, sine, cosine, setting: Settin
         mine = (fits[k] > 0) & (passed == order)
         way, step = jnp.where(mine, k, way), jnp.where(mine, steps[k], step)
         passed = passed + fits[k]
-    return pin(way), pin(jnp.clip(step, -WAY_STEP, WAY_STEP))
+    return pin(way), pin(jnp.clip(step, -WAY_STEP, WAY_STEP)), loose
 
 
 def _before(row: jax.Array, k: int) -> jax.Array:
-    """The entry k places before each; for the first ones, one that is near nothing."""
-    return jnp.concatenate([jnp.full_like(row[:k], 99), row[:-k]])
+    """The entry k places before each, around the circle."""
+    return jnp.concatenate([row[-k:], row[:-k]])
+
+
+def _apart(first: Scalar, last: Scalar) -> Scalar:
+    """The difference of two angles in [-pi, pi] [rad]."""
+    difference = abs(first - last)
+    return jnp.minimum(difference, abs(2 * math.pi - difference))
 
 
 def _uncertainty(series: Series, angle: Scalar, setting: Setting) -> Scalar:
@@ -755,7 +770,7 @@ def reversed_stacked(
     return slots._replace(joints=slots.joints[::-1], seen=goal)
 
 
-def _apart(slots: Branch, setting: Setting) -> tuple[Branch, ...]:
+def _each(slots: Branch, setting: Setting) -> tuple[Branch, ...]:
     """Each slot by itself."""
 
     def slot(k: int) -> Branch:
@@ -769,11 +784,11 @@ def branches(
     signs: OffsetWristSigns, links: tuple[Link, ...], goal: Pose, setting: Setting
 ) -> tuple[Branch, ...]:
     """All slots for one goal; arguments as in `pieper`."""
-    return _apart(stacked(signs, links, goal, setting), setting)
+    return _each(stacked(signs, links, goal, setting), setting)
 
 
 def reversed_branches(
     signs: OffsetWristSigns, links: tuple[Link, ...], goal: Pose, setting: Setting
 ) -> tuple[Branch, ...]:
     """All slots of the reversed arm."""
-    return _apart(reversed_stacked(signs, links, goal, setting), setting)
+    return _each(reversed_stacked(signs, links, goal, setting), setting)
