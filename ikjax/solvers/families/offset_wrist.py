@@ -22,6 +22,9 @@ whose roots serves both.
 
 Where axes 1 and 6 are one line, joint 6 is arbitrary.
 
+The margin is that of the polynomial's roots. It is zero at every fold, and also where roots of two ways
+coincide, as with the tool in the arm's plane, although no branch ends there.
+
 Bits:
 1. front or back, 2. up or down: as in `ortho_parallel_wrist`, for W.
 3., 4. the order of such a branch's answers by joint 6, from its DH angle -pi. Where two of them meet and end
