@@ -49,6 +49,13 @@ ARMS: dict[str, Callable[[], ikjax.Arm]] = {
         a=[0.11, 0.37, 0.29, 0.08, 0.05, 0.03],
         d=[0.3, 0.1, 0.07, 0.12, 0.09, 0.1],
     ),
+    "offset_wrist": ikjax.robots.crx10ia,
+    "offset_wrist_reversed": lambda: table(
+        "two axes meeting, then two parallel",
+        [75, -60, 80, 0, -70, 0],
+        a=[0.06, 0, 0.08, 0.37, 0.11, 0.03],
+        d=[0.2, 0.09, 0.32, 0.07, 0.1, 0.1],
+    ),
     "scara": ikjax.robots.gx4_351s,
     "five_axis": ikjax.robots.motoman_l3,
     "turret": lambda: table("a turret", [90, 0, 0, 0], a=[0.05, 0.25, 0.2, 0.1], d=[0.3, 0, 0, 0]),

@@ -338,11 +338,14 @@ class Arm:
     def complete(self) -> bool:
         """Whether the slots hold every solution.
 
-        Not without a family, nor where the arm is off its family by more than 3e-4 [rad, or share of its
-        lengths]: beside a fold the arm as given may then reach a pose that the arm as recognized does not. Of
-        2,000 goals of an arm that is off by 1e-3, 2 to 7 missed a solution, and none at 1e-4.
+        Not without a family, nor where the family needs float64 and jax_enable_x64 is off, nor where the arm
+        is off its family by more than 3e-4 [rad, or share of its lengths]: beside a fold the arm as given may
+        then reach a pose that the arm as recognized does not. Of 2,000 goals of an arm that is off by 1e-3, 2
+        to 7 missed a solution, and none at 1e-4.
         """
         if self.family is None or is_traced(self.correction):
+            return False
+        if RULES[self.family].wide and jnp.result_type(float) == jnp.float32:
             return False
         if self.correction is None:
             return True

@@ -88,6 +88,21 @@ TINY = 64
 SHORT_HAND = 1e-3
 """The least that counts as a hand's length; a shorter one turns about the point itself."""
 
+ROOT_NOISE = 4096
+"""[eps] Noise of a trigonometric polynomial of an offset wrist, whose largest value is one: it says how far
+rounding may have moved a root. A choice: its two eliminations lose digits by different factors."""
+
+WAY_STEP = 0.02
+"""[rad] The largest step from a root of that polynomial to the root of one way, and the largest distance that
+counts as rounding. A choice."""
+
+ONE_WAY = 64
+"""A way whose root is nearer than those of the others by this factor is the only one. A choice."""
+
+KEEPS_JOINT_6 = 0.05
+"""Joint 1 is no variable where its weight falls below this share of the squared radius of the wrist's circle,
+unless that of joint 6 is less still. A choice."""
+
 # Projection and gradients
 
 CONVERGED = {"float32": 2e-5, "float64": 1e-8}

@@ -25,7 +25,7 @@ import numpy as np
 from ikjax.arm.arm import Arm, once_for_each_arm
 from ikjax.core import cores
 from ikjax.core.xla import constant, divider, pinning, to_columns, to_rows, wide_vectors
-from ikjax.ik.inline import FIELDS, Entries, parts, slots_of
+from ikjax.ik.inline import FIELDS, Entries, from_rows, parts, rows_of, slots_of
 from ikjax.ik.results import Solutions
 
 BLOCK, BLOCKS = 4096, 4
@@ -207,6 +207,9 @@ class SolveBlock:
         count = goals.shape[0]
         entries = entries_in(goals)
         with pinning(divider(entries[0][3])):
+            rows = rows_of(arm, entries, q_now, self.pose_tolerance, redundancy)
+            if rows is not None:
+                return from_rows(rows)
             slots = slots_of(arm, entries, q_now, self.pose_tolerance, redundancy)
         q = to_rows([x for slot in slots for x in slot.q], count).reshape(count, len(slots), arm.n)
         rest = {name: to_rows([getattr(slot, name) for slot in slots], count) for name in FIELDS}

@@ -28,7 +28,7 @@ from ikjax.core.pose import Pose, clean
 from ikjax.core.xla import AgreedRoots, divider, hidden, is_traced, pinning, stored, through_one_number
 from ikjax.ik.results import Solutions
 from ikjax.solvers.families import FAMILIES
-from ikjax.solvers.pipeline import Slot, solve_scalars
+from ikjax.solvers.pipeline import Slot, each_slot, margin_rows, solve_rows, solve_scalars
 
 FIELDS = ("valid", "margin", "continuum", "position_error", "rotation_error")
 
@@ -58,21 +58,69 @@ def slots_of(
         pose_tolerance: See `solve`.
         redundancy: (..., k) values of the joints in `Arm.locked`; None where there are none.
     """
+    goal, proper = _proper(arm, entries)
+    free, finite = _finite(arm, redundancy)
+    slots = solve_scalars(arm, goal, _fallback(arm, q_now), pose_tolerance, free)
+    return _masked(arm, slots, proper, finite, entries[0][3].dtype)
+
+
+def rows_of(
+    arm: Arm,
+    entries: Entries,
+    q_now: jax.Array | None,
+    pose_tolerance: float | None,
+    redundancy: jax.Array | None = None,
+) -> Slot | None:
+    """As `slots_of`, but with the slots as the first axis of one; None where the family has no such form."""
+    if FAMILIES[str(arm.family)].stacked is None:
+        return None
+    goal, proper = _proper(arm, entries)
+    free, finite = _finite(arm, redundancy)
+    rows = solve_rows(arm, goal, _fallback(arm, q_now), pose_tolerance, free)
+    finite = None if finite is None else finite[None]
+    (rows,) = _masked(arm, (rows,), proper[None], finite, entries[0][3].dtype)
+    return rows._replace(is_pose=proper)
+
+
+def margins_of(arm: Arm, entries: Entries, fold: tuple, redundancy: jax.Array | None = None) -> jax.Array:
+    """The margins of `rows_of` with their derivatives, from the fold that it gave, (S, ...)."""
+    goal, proper = _proper(arm, entries)
+    free, finite = _finite(arm, redundancy)
+    margin = margin_rows(arm, goal, fold, free)
+    known = proper[None] if finite is None else (proper & finite)[None]
+    return jnp.where(known, margin, jax.lax.stop_gradient(margin))
+
+
+def _fallback(arm: Arm, q_now: jax.Array | None) -> tuple[jax.Array, ...] | None:
+    return None if q_now is None else tuple(q_now[..., i] for i in range(arm.n))
+
+
+def _proper(arm: Arm, entries: Entries) -> tuple[Pose, jax.Array]:
+    """The goal as an orthonormal pose, and whether it was one."""
     rotation, position = tuple(row[:3] for row in entries[:3]), tuple(row[3] for row in entries[:3])
     goal, proper = clean(Pose(rotation, position), reach(arm))
     for entry, wanted in zip(entries[3], (0, 0, 0, 1), strict=True):
         proper &= entry == wanted
-    fallback = None if q_now is None else tuple(q_now[..., i] for i in range(arm.n))
-    free: tuple[jax.Array, ...] = ()
-    if redundancy is not None:
-        given = tuple(redundancy[..., j] for j in range(len(arm.locked)))
-        finite = functools.reduce(operator.and_, map(jnp.isfinite, given))
-        free = tuple(jnp.where(finite, value, 0) for value in given)
-    slots = solve_scalars(arm, goal, fallback, pose_tolerance, free)
-    # A goal that is no pose gets the largest errors, without derivatives.
-    size = jax.lax.stop_gradient(jnp.asarray(reach(arm), entries[0][3].dtype))
+    return goal, proper
 
-    def masked(slot: Slot) -> Slot:
+
+def _finite(arm: Arm, redundancy: jax.Array | None) -> tuple[tuple[jax.Array, ...], jax.Array | None]:
+    """The values of locked joints, zero in place of those that are not finite, and where all of them are."""
+    if redundancy is None:
+        return (), None
+    given = tuple(redundancy[..., j] for j in range(len(arm.locked)))
+    finite = functools.reduce(operator.and_, map(jnp.isfinite, given))
+    return tuple(jnp.where(finite, value, 0) for value in given), finite
+
+
+def _masked(
+    arm: Arm, slots: tuple[Slot, ...], proper: jax.Array, finite: jax.Array | None, dtype
+) -> tuple[Slot, ...]:
+    """Slots that are masked where their goal is no pose, or a redundant joint not finite."""
+    # A goal that is no pose gets the largest errors, without derivatives.
+    size = jax.lax.stop_gradient(jnp.asarray(reach(arm), dtype))
+
+    def of_pose(slot: Slot) -> Slot:
         return slot._replace(
             valid=slot.valid & proper,
             margin=jnp.where(proper, slot.margin, -size),
@@ -82,8 +130,8 @@ def slots_of(
             is_pose=proper,
         )
 
-    slots = tuple(map(masked, slots))
-    if not free:
+    slots = tuple(map(of_pose, slots))
+    if finite is None:
         return slots
     return tuple(
         slot._replace(
@@ -146,6 +194,9 @@ def solve_inline(
     policy = divider(columns[0][3])
     if not is_small(arm):
         with pinning(policy):
+            rows = rows_of(arm, columns, q_now, pose_tolerance, redundancy)
+            if rows is not None:
+                return from_rows(rows), each_slot(rows)
             slots = slots_of(arm, columns, q_now, pose_tolerance, redundancy)
         return gathered(slots, goals.shape[:-2]), slots
     roots = AgreedRoots(policy)
@@ -170,6 +221,13 @@ def gathered(slots: tuple[Slot, ...], shape: tuple[int, ...], **instead: jax.Arr
     q = jnp.stack([gather(slot.q) for slot in slots], axis=-2)
     rest = {name: gather([getattr(slot, name) for slot in slots]) for name in FIELDS if name not in instead}
     return Solutions(q=q, is_pose=jnp.broadcast_to(slots[0].is_pose, shape), **rest, **instead)
+
+
+def from_rows(slot: Slot) -> Solutions:
+    """Slots that are the first axis of one (S, ...), as `Solutions`."""
+    q = jnp.moveaxis(jnp.stack(slot.q, axis=-1), 0, -2)
+    is_pose = jnp.broadcast_to(slot.is_pose, q.shape[:-2])
+    return Solutions(q=q, is_pose=is_pose, **{f: jnp.moveaxis(getattr(slot, f), 0, -1) for f in FIELDS})
 
 
 def slots_as_array(slots: list[list[Any]]) -> jax.Array:

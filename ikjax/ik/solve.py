@@ -16,6 +16,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from ikjax.arm.arm import Arm, once_for_each_arm
+from ikjax.arm.recognition.rules import RULES
 from ikjax.core import pose as poses
 from ikjax.core.warn import MOST_TURNS, warn_of_degrees
 from ikjax.core.xla import as_array, divider, is_traced, not_folded, stop_gradient
@@ -79,7 +80,7 @@ def solve(
     sol, slots = solve_inline(fixed_arm, fixed_goals, fixed_q, pose_tolerance, fixed_free)
     rule = DerivativeRule.of(arm, goals, damping, free)
     differentiable = dataclasses.replace(
-        sol, q=rule.joints(sol.q, sol.valid), margin=rule.margins(sol.margin)
+        sol, q=rule.joints(sol.q, sol.valid), margin=rule.margins(sol.margin, slots)
     )
     # Each number is read by several loops of whoever chooses among the slots.
     pin, shape = divider(goals[..., 0, 3]), goals.shape[:-2]
@@ -165,6 +166,8 @@ def check_family(arm: Arm) -> None:
         ValueError: With the reason, and what to do instead.
     """
     if arm.family is not None:
+        if RULES[str(arm.family)].wide and jnp.result_type(float) == jnp.float32:
+            _warn_once_that_float64_is_needed(str(arm.family))
         return
     raise ValueError(refusal(arm))
 
@@ -211,6 +214,15 @@ def as_goals(goals) -> jax.Array:
         _warn_once_that_x64_is_off()
         goals = np.asarray(goals, np.float32)
     return goals if isinstance(goals, jax.Array) else jnp.asarray(goals)
+
+
+@functools.cache
+def _warn_once_that_float64_is_needed(family: str) -> None:
+    warnings.warn(
+        f"{family} misses solutions in float32 (arm.complete is False); "
+        'switch float64 on with jax.config.update("jax_enable_x64", True)',
+        stacklevel=4,
+    )
 
 
 @functools.cache

@@ -29,8 +29,9 @@ from ikjax.core import pose as poses
 from ikjax.core.linear import dot, solve_symmetric
 from ikjax.core.tolerances import GRADIENT_DAMPING
 from ikjax.core.trig import Scalar
-from ikjax.core.xla import divider, in_blocks, opaque_one, pinning, stored
-from ikjax.ik.inline import Entries, entries_of, slots_of
+from ikjax.core.xla import divider, in_blocks, opaque_one, pinning, stop_gradient, stored
+from ikjax.ik.inline import Entries, entries_of, margins_of, slots_of
+from ikjax.solvers.pipeline import Slot
 
 BLOCK = 4096
 """Goals whose derivatives are computed at a time."""
@@ -73,9 +74,10 @@ class DerivativeRule(NamedTuple):
         """Joints (..., n) of one slot for each goal, which reaches it or not, (...)."""
         return self.joints(q[..., None, :], valid[..., None])[..., 0, :]
 
-    def margins(self, margin: jax.Array) -> jax.Array:
-        """Margins (..., S)."""
-        return _margins(self.known, self.leaves, self.goals, self.free, margin)
+    def margins(self, margin: jax.Array, slots: tuple[Slot, ...]) -> jax.Array:
+        """Margins (..., S) of slots."""
+        fold = stop_gradient(jax.tree.map(lambda *x: jnp.stack(x), *[slot.fold for slot in slots]))
+        return _margins(self.known, self.leaves, self.goals, self.free, fold, margin)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
@@ -123,22 +125,25 @@ def _arm_of_rates(known: Known, leaf_rates: list) -> Arm:
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _margins(known: Known, leaves: list, goals, free, margin):
+def _margins(known: Known, leaves: list, goals, free, fold, margin):
     """The margins as they are; their derivatives are those of the rule below."""
     return margin
 
 
 @_margins.defjvp
 def _margins_jvp(known: Known, primals, tangents):
-    leaves, goals, free, margin = primals
+    leaves, goals, free, fold, margin = primals
 
     def computed(leaves, goals, free):
         with pinning(divider(goals[..., 0, 3])):
-            slots = slots_of(Arm.join(known, leaves), entries_of(goals), None, None, free)
+            arm, entries = Arm.join(known, leaves), entries_of(goals)
+            if fold:
+                return jnp.moveaxis(margins_of(arm, entries, fold, free), 0, -1)
+            slots = slots_of(arm, entries, None, None, free)
         return jnp.stack([jnp.broadcast_to(s.margin, goals.shape[:-2]) for s in slots], axis=-1)
 
     _, rate = jax.jvp(computed, (leaves, goals, free), tangents[:3])
-    return _margins(known, leaves, goals, free, margin), rate
+    return _margins(known, leaves, goals, free, fold, margin), rate
 
 
 def _joint_rates(

@@ -114,6 +114,8 @@ class Branch(NamedTuple):
     miss: Scalar = 0.0
     """How far the goal is from the poses that fewer than six joints can attain, in units of the reach and
     rad. Zero for six joints."""
+    fold: tuple = ()
+    """What `Family.margins` needs to know again for the margin's derivatives; a family without has none."""
 
 
 def bits(slot: int, count: int = 3) -> tuple[int, ...]:

@@ -51,7 +51,39 @@ def polished(
     allowed: tuple[Scalar, float],
     setting: Setting,
 ) -> tuple[tuple[Branch, ...], list[Scalar], list[Scalar]]:
-    """The slots after their steps, and how far each is from the goal.
+    """The slots after their steps, and how far each is from the goal; see `polished_rows`."""
+    start = tuple(_stacked(column) for column in zip(*(slot.joints for slot in slots), strict=True))
+    shape = jax.tree.leaves(start)[0].shape
+    margins = jnp.stack([jnp.broadcast_to(slot.margin, shape[1:]) for slot in slots])
+    # The whole sum of the corrections: `correction_size` is 1 / 32 of it.
+    size = 32 * setting.correction_size
+    steps = step_count(setting.correction_size, allowed[1])
+    joints, *squares = polished_rows(given, start, margins, goal, turning, allowed, setting, steps, size)
+    answers = tuple(slot._replace(joints=joints_of_slot(joints, k, setting)) for k, slot in enumerate(slots))
+    gaps, turns = ([x[k] for k in range(len(slots))] for x in squares)
+    return answers, gaps, turns
+
+
+def joints_of_slot(joints: Joints, k: int, setting: Setting) -> Joints:
+    """The joints of one slot, from those of all, whose first axis counts the slots."""
+    return tuple(
+        Slide(pin(joint.value[k])) if isinstance(joint, Slide) else setting.angle(joint.sin[k], joint.cos[k])
+        for joint in joints
+    )
+
+
+def polished_rows(
+    given: Given,
+    start: Joints,
+    margins: jax.Array,
+    goal: Pose,
+    turning: bool,
+    allowed: tuple[Scalar, float],
+    setting: Setting,
+    steps: int,
+    size: Scalar,
+) -> tuple[Joints, jax.Array, jax.Array]:
+    """The joints of all slots after their steps, and how far each slot is from the goal.
 
     All slots take the few steps that are enough away from folds, where Newton's method converges
     quadratically. Goals with a slot beside a fold, or with one that has not converged, are then gathered.
@@ -60,48 +92,39 @@ def polished(
 
     Args:
         given: The arm.
-        slots: What the closed form proposes.
+        start: What the closed form proposes, (S, ...).
+        margins: Theirs, (S, ...).
         goal: Pose of the last frame, seen from frame 0; where the task leaves the orientation open, the tool
             point on a frame of zeros.
         turning: Whether the task asks for an orientation.
         allowed: Distance and angle of a valid pose, in units of the reach and rad.
         setting: Tolerances.
+        steps: How many steps every slot takes.
+        size: How far the closed form may be off; a slot whose margin is within twice that is beside a fold.
 
     Returns:
-        The slots, and for each the squared distance of the tool points and the squared Frobenius norm of
-        the difference of the rotations.
+        The joints, and for each slot the squared distance of the tool points and the squared Frobenius norm
+        of the difference of the rotations, (S, ...).
     """
-    start = tuple(_stacked(column) for column in zip(*(slot.joints for slot in slots), strict=True))
-    shape = jax.tree.leaves(start)[0].shape
-    margins = jnp.stack([jnp.broadcast_to(slot.margin, shape[1:]) for slot in slots]).reshape(len(slots), -1)
-    start = jax.tree.map(lambda x: x.reshape(len(slots), -1), start)
+    shape = margins.shape
+    margins = margins.reshape(shape[0], -1)
+    start = jax.tree.map(lambda x: x.reshape(shape[0], -1), start)
     start = jax.tree.map(divider_once(jax.tree.leaves(start)[0]), start)
     goals = jax.tree.map(lambda x: jnp.broadcast_to(x, shape[1:]).reshape(1, -1), goal)
     solve = _Solve(given, turning, setting).at_goals(lambda x: jnp.broadcast_to(x, shape[1:]).reshape(1, -1))
-    # The whole sum of the corrections: `correction_size` is 1 / 32 of it.
-    size = 32 * setting.correction_size
-    steps = _step_count(setting.correction_size, allowed[1])
-    joints = jax.lax.fori_loop(0, steps, lambda _, joints: solve.step(joints, goals), start)
+    joints = start
+    if steps:
+        joints = jax.lax.fori_loop(0, steps, lambda _, joints: solve.step(joints, goals), start)
     answer = _Answer(joints, *solve.errors(joints, goals))
     gap, angle = (jnp.broadcast_to(jnp.asarray(x), shape[1:]).reshape(1, -1) for x in allowed)
     # The Frobenius norm of R - S is sqrt(2) times a small angle.
     converged = (answer.gap_squared <= gap * gap) & (answer.turn_squared <= 2 * angle * angle)
     unfinished = (abs(margins) <= 2 * size) | (~converged & (margins > -8 * size))
     answer = _solved_again(solve, unfinished.any(0), start, goals, answer)
-    answers = []
-    for k, slot in enumerate(slots):
-        mine = tuple(
-            Slide(pin(joint.value[k].reshape(shape[1:])))
-            if isinstance(joint, Slide)
-            else setting.angle(joint.sin[k].reshape(shape[1:]), joint.cos[k].reshape(shape[1:]))
-            for joint in answer.joints
-        )
-        answers.append(slot._replace(joints=mine))
-    squares = [[x[k].reshape(shape[1:]) for k in range(len(slots))] for x in answer[1:]]
-    return tuple(answers), squares[0], squares[1]
+    return jax.tree.map(lambda x: x.reshape(shape), tuple(answer))
 
 
-def _step_count(correction_size: Scalar, tolerance: float) -> int:
+def step_count(correction_size: Scalar, tolerance: float) -> int:
     """How many steps are enough away from folds.
 
     Each squares the error: two take 3e-3 below 1e-9, with what the arm's own lengths add.

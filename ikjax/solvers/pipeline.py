@@ -29,6 +29,7 @@ from ikjax.arm.forward import (
     strip,
     whole_turns,
 )
+from ikjax.arm.recognition.rules import RULES
 from ikjax.core import pose as poses
 from ikjax.core import safe, vector
 from ikjax.core.pose import Pose
@@ -37,7 +38,7 @@ from ikjax.core.trig import Angle, Scalar, atan2, canonical, sincos, wrap
 from ikjax.core.xla import is_traced, pin
 from ikjax.solvers.context import Branch, Joints, Setting, Slide, placed
 from ikjax.solvers.families import FAMILIES, Family
-from ikjax.solvers.given_arm import Given, polished
+from ikjax.solvers.given_arm import Given, polished, polished_rows, step_count
 
 TURNING = ("pose", "planar_pose")
 """Tasks that ask for an orientation."""
@@ -58,6 +59,8 @@ class Slot(NamedTuple):
     """Square of the larger error, in tolerances: valid slots have at most 1."""
     is_pose: jax.Array | bool = True
     """Whether the goal was a pose, which is known before it is cleaned."""
+    fold: tuple = ()
+    """See `Branch.fold`."""
 
 
 def as_solved(arm: Arm) -> Arm:
@@ -180,42 +183,154 @@ def solve_scalars(
     Returns:
         One `Slot` for each branch of the family, in slot order.
     """
+    if FAMILIES[str(arm.family)].stacked is not None:
+        return each_slot(solve_rows(arm, goal, fallback, tolerance, free))
     tolerance = VALID[jnp.result_type(goal.position[0]).name] if tolerance is None else tolerance
     frame, tip, setting = _prepared(arm, goal, fallback, free)
     allowed = tolerance * (1 + frame.per_reach * vector.norm(goal.position))
     turning = arm.task in TURNING
     family = FAMILIES[str(arm.family)]
+    both = allowed, tolerance
     branches = family.branches(arm.signs, frame.links, tip, setting)
     if frame.between is not None:
         given = Given(frame.links, frame.between, frame.tool_point)
-        branches, gaps, turns = polished(given, branches, tip, turning, (allowed, tolerance), setting)
+        branches, gaps, turns = polished(given, branches, tip, turning, both, setting)
         measured = list(zip(gaps, turns, strict=True))
     else:
         measured = [_mismatch(frame, family, branch) for branch in branches]
-    motors = _motors(arm)
-    slots = []
-    for branch, (gap_squared, turn_squared) in zip(branches, measured, strict=True):
-        gap_squared, turn_squared = pin(gap_squared), pin(turn_squared)
-        turn_squared = turn_squared if turning else jnp.zeros_like(gap_squared)
+    measure = _Measure(arm, frame, _motors(arm), both, free)
+    return tuple(measure(branch, squares) for branch, squares in zip(branches, measured, strict=True))
+
+
+def solve_rows(
+    arm: Arm,
+    goal: Pose,
+    fallback: tuple[Scalar, ...] | None = None,
+    tolerance: float | None = None,
+    free: tuple[Scalar, ...] = (),
+) -> Slot:
+    """Every slot in one, whose numbers have the slots as their first axis, for a family with `stacked`.
+
+    Arguments as in `solve_scalars`.
+    """
+    dtype, family = jnp.result_type(goal.position[0]), FAMILIES[str(arm.family)]
+    assert family.stacked is not None
+    tolerance = VALID[dtype.name] if tolerance is None else tolerance
+    if _is_wide(arm, dtype):
+        return _in_float64(arm, goal, fallback, tolerance, free)
+    frame, tip, setting = _prepared(arm, goal, fallback, free)
+    allowed = tolerance * (1 + frame.per_reach * vector.norm(goal.position))
+    given = Given(frame.links, frame.between, frame.tool_point)
+    whole = family.stacked(arm.signs, frame.links, tip, setting)
+    branch, squares = _finished(given, whole, tip, (allowed, tolerance), setting)
+    frame, free = frame._replace(locked=_in_rows(frame.locked, branch)), _in_rows(free, branch)
+    return _Measure(arm, frame, _motors(arm), (jnp.asarray(allowed)[None], tolerance), free)(branch, squares)
+
+
+def _in_rows(values, rows: Branch):
+    """Numbers of a goal (...) that its slots have in common, for each slot (S, ...)."""
+    return jax.tree.map(lambda x: jnp.broadcast_to(x, rows.margin.shape), values)
+
+
+def each_slot(rows: Slot) -> tuple[Slot, ...]:
+    """The slots that are stacked in one, whose goal they have in common."""
+
+    def slot(k: int) -> Slot:
+        apart = jax.tree.map(lambda x: x if isinstance(x, bool) else x[k], rows._replace(is_pose=True))
+        return apart._replace(is_pose=rows.is_pose)
+
+    return tuple(map(slot, range(len(rows.valid))))
+
+
+def margin_rows(arm: Arm, goal: Pose, fold: tuple, free: tuple[Scalar, ...] = ()) -> Scalar:
+    """The margins of `solve_rows` with their derivatives, from the `Slot.fold` that it gave."""
+    family = FAMILIES[str(arm.family)]
+    assert family.margins is not None
+    dtype = jnp.result_type(goal.position[0])
+    if _is_wide(arm, dtype):
+        goal, free, fold = _cast((goal, free, fold), jnp.float64)
+        return margin_rows(arm.astype(jnp.float64), goal, fold, free).astype(jnp.float32)
+    frame, tip, _ = _prepared(arm, goal, None, free)
+    margin = family.margins(arm.signs, frame.links, tip, fold)
+    return frame.reach * jnp.minimum(margin, 1)
+
+
+def _is_wide(arm: Arm, dtype) -> bool:
+    """Whether goals of a type are solved in float64."""
+    return RULES[str(arm.family)].wide and dtype == jnp.float32 and jnp.result_type(float) == jnp.float64
+
+
+def _cast(tree, dtype):
+    """The tree with its arrays in a type."""
+    return jax.tree.map(lambda x: x.astype(dtype) if hasattr(x, "astype") else x, tree)
+
+
+def _in_float64(
+    arm: Arm,
+    goal: Pose,
+    fallback: tuple[Scalar, ...] | None,
+    tolerance: float,
+    free: tuple[Scalar, ...],
+) -> Slot:
+    """The slots of a float32 goal, computed in float64."""
+    goal, fallback, free = _cast((goal, fallback, free), jnp.float64)
+    slot = solve_rows(arm.astype(jnp.float64), goal, fallback, tolerance, free)
+
+    def narrow(x):
+        return x.astype(jnp.float32) if hasattr(x, "astype") and x.dtype == jnp.float64 else x
+
+    slot = jax.tree.map(narrow, slot)
+    return slot._replace(q=tuple(map(canonical, slot.q)))
+
+
+class _Measure(NamedTuple):
+    """What makes slots of branches: whether they reach the goal, and how far they are off."""
+
+    arm: Arm
+    frame: Frame
+    motors: Callable[[tuple[Scalar, ...]], tuple[Scalar, ...]]
+    allowed: tuple[Scalar, float]
+    """Distance and angle of a valid pose, in units of the reach and rad."""
+    free: tuple[Scalar, ...]
+    """The values of the joints in `Arm.locked` [rad, m]."""
+
+    def __call__(self, branch: Branch, squares: tuple[Scalar, Scalar]) -> Slot:
+        """The slot of a branch, with its squared errors: of tool point and rotation (Frobenius)."""
+        arm, frame, (length, angle) = self.arm, self.frame, self.allowed
+        gap_squared, turn_squared = map(pin, squares)
+        turn_squared = turn_squared if arm.task in TURNING else jnp.zeros_like(gap_squared)
         # |R - S| = sqrt(8) sin(angle / 2) in the Frobenius norm, which is sqrt(2) angle for small angles.
-        valid = (gap_squared <= allowed * allowed) & (turn_squared <= 2 * tolerance**2)
+        valid = (gap_squared <= length * length) & (turn_squared <= 2 * angle**2)
         half = safe.sqrt(jnp.minimum(turn_squared / 8, 1))
         margin = jnp.minimum(branch.margin, 1)
         if not isinstance(branch.miss, float):
             margin = jnp.where(valid, margin, jnp.minimum(margin, -branch.miss))
-        slots.append(
-            Slot(
-                _whole(arm, branch.joints, frame.locked),
-                motors(_whole(arm, _joint_values(frame, branch.joints), free)),
-                valid,
-                frame.reach * margin,
-                branch.continuum,
-                frame.reach * safe.sqrt(gap_squared),
-                2 * atan2(half, safe.sqrt((1 - half) * (1 + half))),
-                jnp.maximum(gap_squared / (allowed * allowed), turn_squared / (2 * tolerance**2)),
-            )
+        return Slot(
+            _whole(arm, branch.joints, frame.locked),
+            self.motors(_whole(arm, _joint_values(frame, branch.joints), self.free)),
+            valid,
+            frame.reach * margin,
+            branch.continuum,
+            frame.reach * safe.sqrt(gap_squared),
+            2 * atan2(half, safe.sqrt((1 - half) * (1 + half))),
+            jnp.maximum(gap_squared / (length * length), turn_squared / (2 * angle**2)),
+            fold=branch.fold,
         )
-    return tuple(slots)
+
+
+def _finished(
+    given: Given, slots: Branch, goal: Pose, allowed: tuple[Scalar, float], setting: Setting
+) -> tuple[Branch, tuple[Scalar, Scalar]]:
+    """All slots as one `Branch`, finished by Newton's method, and how far each is off.
+
+    The closed form is exact but beside folds, where its angles are good to the root of the rounding.
+    """
+    size = vector.plus(setting.rounding**0.5, 32 * setting.correction_size)
+    steps = 0 if given.between is None else step_count(setting.correction_size, allowed[1])
+    found = polished_rows(given, slots.joints, slots.margin, goal, True, allowed, setting, steps, size)
+    joints, *squares = found
+    joints = tuple(setting.angle(joint.sin, joint.cos) for joint in joints)
+    return slots._replace(joints=joints), (squares[0], squares[1])
 
 
 def proposed(arm: Arm, goal: Pose, free: tuple[Scalar, ...] = ()) -> list[tuple[Scalar, ...]]:

@@ -20,6 +20,8 @@ FAMILY = {
     "gx4_351s": "scara",
     **dict.fromkeys(["stanford", "iiwa7", "iiwa14", "rm75", "gen3"], "pieper"),
     **dict.fromkeys(["fer", "fr3", "xarm7", "gen72"], "pieper_reversed"),
+    **dict.fromkeys(["cobotta", "crx10ia", "gen3lite", "gofa5", "gofa10"], "offset_wrist"),
+    **dict.fromkeys(["hc10", "link6", "xarm6"], "offset_wrist"),
 }
 TASKS = {"planar_pose": "planar_pose", "planar_position": "planar_position"}
 TABLES = {
@@ -56,7 +58,8 @@ def test_every_arm_of_the_catalogue_has_its_family(name):
     arm = ikjax.robots.get(name)
     assert arm.family == FAMILY[name]
     assert arm.task == TASKS.get(arm.family, "pose")
-    assert len(arm.branches) == len(set(arm.branches)) == {2: 2, 3: 2, 4: 2, 5: 4, 6: 8, 7: 8}[arm.n]
+    slots = 16 if arm.family == "offset_wrist" else {2: 2, 3: 2, 4: 2, 5: 4, 6: 8, 7: 8}[arm.n]
+    assert len(arm.branches) == len(set(arm.branches)) == slots
     if arm.family not in TABLES:
         return
     assert arm.branches[:2] == ("front/up/noflip", "back/up/noflip")
@@ -168,7 +171,7 @@ def test_an_arm_of_another_number_of_joints_is_told_what_is_supported(n):
     assert text.startswith("odd has no closed form here: ") and f"Found: joints {'R' * n}" in text
     for family in recognize.RULES:
         assert f"{family}: " in text
-    assert text.count("it wants joints RRRRRR.") == 3
+    assert text.count("it wants joints RRRRRR.") == 5
 
 
 def test_a_sliding_joint_keeps_an_arm_out_of_the_turning_families():

@@ -42,9 +42,9 @@ def test_the_catalogue_is_listed_in_alphabetical_order():
 
 
 def test_an_unknown_robot_is_answered_with_the_list():
-    with pytest.raises(ValueError, match="no robot 'puma'; the catalogue has elbow_manipulator, fer, fr3"):
+    with pytest.raises(ValueError, match="no robot 'puma'; the catalogue has cobotta, crx10ia, elbow"):
         ikjax.robots.get("puma")
-    with pytest.raises(ValueError, match="no robot 'puma'; the catalogue has elbow_manipulator"):
+    with pytest.raises(ValueError, match="no robot 'puma'; the catalogue has cobotta, crx10ia"):
         ikjax.robots.poses("puma")
 
 
@@ -96,6 +96,13 @@ STANDS = {
     ("kr6_r900", "start"): (0.025 + 0.420, 0, 0.400 + 0.455 + 0.035 - 0.080),
     # Reach of the product page, "GX4 SCARA Robot - 350 mm" (epson.com, RGX4-A351SSTSD).
     ("gx4_351s", "zero"): (0.350, 0, 0),
+    # FANUC's file places J4 to J6 in the world: my_1, mz_3 and mx_2 there, which is J6's flange.
+    ("crx10ia", "zero"): (0.700, -0.150, 0.785),
+    # UFACTORY, xArm user manual: the initial position of the xArm 6.
+    ("xarm6", "zero"): (0.207, 0, 0.112),
+    # Sums of the lengths in the files that the catalogue names.
+    ("hc10", "zero"): (0, 0.162, 0.275 + 0.700 - 0.500 - 0.130),
+    ("gofa5", "zero"): (0.470 + 0.101, 0, 0.265 + 0.444 + 0.110 + 0.080),
     # The lectures' slides on PRR arms ask for this point.
     ("planar_prr", "stretch"): (0, 22, 0),
 }
@@ -118,7 +125,7 @@ def test_a_universal_robot_that_is_up_stands_straight_up(name):
 @pytest.mark.parametrize("name", ikjax.robots.names())
 def test_named_poses_lie_within_the_joint_limits(name):
     poses, arm = ikjax.robots.poses(name), ikjax.robots.get(name)
-    assert poses or name == "stanford", "give @robot(...) at least a pose `zero`"
+    assert poses or name in ("stanford", "cobotta"), "give @robot(...) at least a pose `zero`"
     low, high = np.asarray(arm.limits).T
     for q in poses.values():
         assert len(q) == arm.n and all(type(x) is float for x in q)
@@ -288,6 +295,136 @@ def so101_of_its_file(q):
         origin[:3, 3] = xyz
         T = T @ origin @ turn((0, 0, 1), angle)
     return T
+
+
+FLAT, Z, Y, X = (0, 0, 0), (0, 0, 1), (0, 1, 0), (1, 0, 0)
+HALF, QUARTER = math.pi, math.pi / 2
+FRAMES = {
+    "crx10ia": [
+        ((0, 0, 0.245), FLAT, Z),
+        (FLAT, FLAT, Y),
+        ((0, 0, 0.540), FLAT, (0, -1, 0)),
+        (FLAT, FLAT, (-1, 0, 0)),
+        ((0.540, 0, 0), FLAT, (0, -1, 0)),
+        ((0, -0.150, 0), FLAT, (-1, 0, 0)),
+        ((0.160, 0, 0), (HALF, -QUARTER, 0), None),
+    ],
+    "hc10": [
+        ((0, 0, 0.275), FLAT, Z),
+        (FLAT, FLAT, Y),
+        ((0, 0, 0.700), FLAT, (0, -1, 0)),
+        ((0, 0, -0.500), FLAT, Z),
+        ((0, 0.162, 0), FLAT, (0, -1, 0)),
+        (FLAT, FLAT, Z),
+        ((0, 0, -0.130), (HALF, 0, 0), None),
+    ],
+    "xarm6": [
+        ((0, 0, 0.267), FLAT, Z),
+        (FLAT, (-QUARTER, 0, 0), Z),
+        ((0.0535, -0.2845, 0), FLAT, Z),
+        ((0.0775, 0.3425, 0), (-QUARTER, 0, 0), Z),
+        (FLAT, (QUARTER, 0, 0), Z),
+        ((0.076, 0.097, 0), (-QUARTER, 0, 0), Z),
+        (FLAT, FLAT, None),
+    ],
+    "gofa5": [
+        ((0, 0, 0.265), FLAT, Z),
+        (FLAT, FLAT, Y),
+        ((0, 0, 0.444), FLAT, Y),
+        ((0, 0, 0.110), FLAT, X),
+        ((0.470, 0, 0), FLAT, Y),
+        ((0.101, 0, 0.080), FLAT, X),
+        (FLAT, (0, QUARTER, 0), None),
+    ],
+    "gen3lite": [
+        ((0, 0, 0.12825), FLAT, Z),
+        ((0, -0.03, 0.115), (QUARTER, 0, 0), Z),
+        ((0, 0.28, 0), (-HALF, 0, 0), Z),
+        ((0, -0.14, 0.02), (QUARTER, 0, 0), Z),
+        ((0.0285, 0, 0.105), (0, QUARTER, 0), Z),
+        ((-0.105, 0, 0.0285), (0, -QUARTER, 0), Z),
+        (FLAT, FLAT, None),
+    ],
+    "cobotta": [
+        (FLAT, FLAT, Z),
+        ((0, 0, 0.180), FLAT, Y),
+        ((0, 0, 0.165), FLAT, Y),
+        ((-0.012, 0.020, 0.088), FLAT, Z),
+        ((0, -0.020, 0.0895), FLAT, Y),
+        ((0, -0.0445, 0.042), FLAT, Z),
+        (FLAT, FLAT, None),
+    ],
+}
+"""xyz and rpy of each joint's frame in the one before, and its axis, then of the flange, as in the files
+that the catalogue names. Of the CRX the flange is FANUC's own, which points up (x) and ahead (z) at zero."""
+
+
+def of_frames(name, q):
+    """Frame by frame: fixed-axis roll, pitch, yaw, then the turn about the axis."""
+    T = np.eye(4)
+    for (xyz, (roll, pitch, yaw), axis), angle in zip(FRAMES[name], (*q, 0.0), strict=True):
+        origin = turn(Z, yaw) @ turn(Y, pitch) @ turn(X, roll)
+        origin[:3, 3] = xyz
+        T = T @ origin @ (np.eye(4) if axis is None else turn(axis, angle))
+    return T
+
+
+@pytest.mark.parametrize("name", FRAMES)
+def test_the_flange_stands_where_the_frames_of_the_makers_file_put_it(name, rng):
+    q = rng.uniform(-math.pi, math.pi, (4, 6))
+    np.testing.assert_allclose(
+        our_chain(ikjax.robots.get(name), q)[0], [of_frames(name, joints) for joints in q], atol=1e-12
+    )
+
+
+# The package robotkinematicscatalogue 1.1.2: a [mm], d [mm] and theta [deg] of modified tables, whose twists
+# are COMMON. It leaves out how high the foot of some is, and its Cobotta has a longer tool.
+COMMON = (0, -90, 0, -90, 90, -90)
+TABLES = {
+    "crx10ia": ([0, 0, 540, 0, 0, 0], [0, 0, 0, 540, -150, 160], [0, -90, 0, 0, 0, 0]),
+    "hc10": ([0, 0, 700, 0, 0, 0], [0, 0, 0, 500, 162, 130], [0, -90, 90, 0, 0, 180]),
+    "gofa5": ([0, 0, 444, 110, 0, 80], [265, 0, 0, 470, 0, 101], [0, -90, 0, 0, 0, 180]),
+    "gen3lite": ([0, 0, 280, 0, 0, 0], [243.25, 10, 0, 245, -57, 105], [180, -90, -90, -90, 0, 0]),
+    "cobotta": ([0, 0, 165, 12, 0, 0], [180, 20, 0, 177.5, -64.5, 102], [0, -90, -90, 0, 0, 180]),
+    "gofa10": ([0, 150, 707, 110, 0, 80], [400, 0, 0, 637, 0, 101], [0, -90, 0, 0, 0, 180]),
+    "link6": (
+        [0, 110.24, 485, 0, 0, 86],
+        [190.5, -22.447, 0, 374.91, 139.879, 179.028],
+        [0, -90, -90, 0, 90, 90],
+    ),
+}
+
+
+def of_table(name, q):
+    T = np.eye(4)
+    for a, alpha, d, theta, angle in zip(TABLES[name][0], COMMON, *TABLES[name][1:], q, strict=True):
+        before, after = turn(X, math.radians(alpha)), turn(Z, math.radians(theta) + angle)
+        before[0, 3], after[2, 3] = a * 1e-3, d * 1e-3
+        T = T @ before @ after
+    return T
+
+
+def screw(T):
+    """The angle and the advance of a motion along its axis, which are alike in all frames."""
+    R = T[:3, :3]
+    axis = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    return math.acos((np.trace(R) - 1) / 2), axis @ T[:3, 3] / np.linalg.norm(axis)
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_arms_with_an_offset_wrist_have_the_table_that_others_print(name, rng):
+    """Up to where base and tool are, and to the joints' directions."""
+    signs = {
+        "crx10ia": (1, 1, -1, -1, -1, -1),
+        "hc10": (1, 1, -1, -1, -1, -1),
+        "gen3lite": (1, 1, -1, 1, -1, 1),
+    }
+    q = rng.uniform(-math.pi, math.pi, (4, 6))
+    ours = our_chain(ikjax.robots.get(name), q)[0]
+    theirs = np.array([of_table(name, joints * signs.get(name, 1)) for joints in q])
+    for k in range(1, 4):
+        motions = [screw(T[k] @ np.linalg.inv(T[0])) for T in (ours, theirs)]
+        np.testing.assert_allclose(*motions, atol=1e-9)
 
 
 # Pose after pose in closed form, each written from a text of its own; planar_rpr and planar_prr

@@ -173,6 +173,8 @@ ONE_OF_EACH = {
     "pieper": "RRR, wrist",
     "pieper_reversed": "wrist first, RRRRRR",
     "parallel_axes": "2, 3, 4 parallel",
+    "offset_wrist": "offset wrist",
+    "offset_wrist_reversed": "offset wrist, reversed",
     "scara": "SCARA RRPR",
     "five_axis": "five axes, lateral",
     "turret": "turret",

@@ -135,6 +135,27 @@ def _others() -> dict:
             d=[0.3, 0, 0.07, 0.12, 0.09, 0.1],
         ),
     }
+    offset = dict(kinds="RRRRRR", theta=[0.1, 0.2, 0.3, 0.4, 0.5, 0.6], base=arms.BASE, tool=TOOL)
+    table |= {
+        "offset wrist": dict(
+            a=[0.11, 0.37, 0.08, 0, 0.06, 0.03],
+            alpha=[70, 180, -80, 60, -75, 20],
+            d=[0.3, 0.1, 0.07, 0.32, 0.09, 0.1],
+            **offset,
+        ),
+        "offset wrist, shared": dict(
+            a=[0, 0.54, 0, 0, 0, 0],
+            alpha=[-90, 0, -90, 90, -90, 0],
+            d=[0.2, 0, 0, 0.54, -0.15, 0.16],
+            **offset,
+        ),
+        "offset wrist, reversed": dict(
+            a=[0.06, 0, 0.08, 0.37, 0.11, 0.03],
+            alpha=[75, -60, 80, 0, -70, 20],
+            d=[0.2, 0.09, 0.32, 0.07, 0.1, 0.1],
+            **offset,
+        ),
+    }
     for kinds, alpha in {
         "RRPR": [0, 180, 0, 0],
         "RRRP": [0, 0, 180, 0],

@@ -19,12 +19,22 @@ FAMILY = {
     "turret": "turret",
     "five axes": "five_axis",
     "wrist first": "pieper_reversed",
+    "offset wrist, reversed": "offset_wrist_reversed",
+    "offset wrist": "offset_wrist",
     "skew wrist": "pieper",
 }
 
 
 def family(name: str) -> str:
-    for part in ("wrist first", "skew wrist", "SCARA", "turret", "five axes"):
+    for part in (
+        "wrist first",
+        "skew wrist",
+        "offset wrist, reversed",
+        "offset wrist",
+        "SCARA",
+        "turret",
+        "five axes",
+    ):
         if part in name:
             return FAMILY[part]
     if "parallel" in name and "," in name and name[0] in "1234":
@@ -57,6 +67,13 @@ def test_the_family_is_recognized(name):
     assert "NO" not in ikjax.explain(arm)
 
 
+LONGEST = ("offset wrist", "offset wrist, shared")
+"""Compiled for more than 20 s."""
+
+SOLVED = [
+    pytest.param(name, marks=pytest.mark.slow if name in LONGEST else ()) for name in arm_patterns.NAMES
+]
+
 PARTS = {"random": slice(0, 384), "right": slice(384, 448), "far": slice(448, 512)}
 
 
@@ -84,7 +101,7 @@ def _part(part, name, dtype=np.float64):
 
 
 @pytest.mark.parametrize("dtype", TYPES)
-@pytest.mark.parametrize("name", arm_patterns.NAMES)
+@pytest.mark.parametrize("name", SOLVED)
 def test_the_joints_that_made_the_goal_are_found_and_nothing_is_wrong(name, dtype):
     arm, q, goals, sol = _part("random", name, dtype)
     assert sol.q.shape == (384, len(arm.branches), arm.n)
@@ -103,7 +120,7 @@ def test_the_joints_that_made_the_goal_are_found_and_nothing_is_wrong(name, dtyp
 
 
 @pytest.mark.parametrize("dtype", TYPES)
-@pytest.mark.parametrize("name", arm_patterns.NAMES)
+@pytest.mark.parametrize("name", SOLVED)
 def test_everything_is_finite_and_joints_at_right_angles_are_not_answered_wrongly(name, dtype):
     arm, _, goals, sol = _part("right", name, dtype)
     assert not _wrong(arm, sol, goals, dtype).any()
@@ -237,7 +254,7 @@ def _regular(arm, sol):
     return least > np.median(least) / 2
 
 
-@pytest.mark.parametrize("name", arm_patterns.NAMES)
+@pytest.mark.parametrize("name", SOLVED)
 def test_no_answer_is_given_twice(name):
     arm, _, _, sol = _part("random", name)
     turning = [kind == "R" for kind in arm.kinds]
@@ -247,7 +264,7 @@ def test_no_answer_is_given_twice(name):
     assert np.where(both, off, np.inf)[_regular(arm, sol)].min(initial=np.inf) > 1e-5
 
 
-@pytest.mark.parametrize("name", arm_patterns.NAMES)
+@pytest.mark.parametrize("name", SOLVED)
 def test_margin_is_positive_where_a_slot_is_valid_and_negative_out_of_reach(name):
     arm, _, _, sol = _part("random", name)
     assert (sol.margin[sol.valid & _regular(arm, sol)[:, None]] > 0).all()

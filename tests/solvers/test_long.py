@@ -42,6 +42,8 @@ class TestMillion:
 
 EVERY = {
     "parallel_axes": "2, 3, 4 parallel",
+    "offset_wrist": "offset wrist",
+    "offset_wrist_reversed": "offset wrist, reversed",
     "pieper": "RRR, wrist",
     "pieper_reversed": "wrist first, RRRRRR",
 }

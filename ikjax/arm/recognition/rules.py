@@ -212,6 +212,43 @@ def _area(axis: np.ndarray, u: np.ndarray, v: np.ndarray, seen: np.ndarray | Non
     return abs(float(axis @ np.cross(u, v))) * size
 
 
+def _offset_wrist(t: Table) -> Judgement:
+    fore = t.a[2], t.d[3] * t.sin[2]
+    checks = [
+        t.not_parallel(1),
+        t.parallel(2),
+        t.zero("a", 4, "axes 4 and 5 meet"),
+        t.not_parallel(4),
+        t.moves_freely(),
+        t.apart("axes 2 and 3 apart", t.a[1]),
+        t.apart("where axes 4 and 5 meet stands off axis 3", np.hypot(*fore)),
+    ]
+    shared = int(not t.promised and _shares_joint_6(t))
+    signs = named.OffsetWristSigns(t.up, _sign(t.sin[0]), _sign(t.cos[1]), shared)
+    places = [f"/{k}" for k in range(1, 5)]
+    names = tuple(f"{pair}{place}" for place in places for pair in _slots(SHOULDER, ELBOW))
+    return checks, signs, names
+
+
+def _shares_joint_6(t: Table) -> bool:
+    """Whether half a turn of joint 1 leaves the equation for joint 6 what it is.
+
+    Axes 1 and 2 meet squarely, the point where axes 4 and 5 meet is in the arm's plane, and axis 4 is square
+    to axis 2 and points along the forearm, or across it and square to axis 5.
+    """
+    lateral = t.d[1] + t.cos[1] * (t.d[2] + t.cos[2] * t.d[3])
+    along, across = t.d[3] * t.sin[2] / t.size, t.a[2] / t.size
+    off = max(abs(t.a[0]) / t.size, abs(t.cos[0]), abs(lateral) / t.size, abs(t.cos[2]))
+    return off <= t.tolerance and (
+        abs(across) <= t.tolerance or max(abs(along), abs(t.cos[3])) <= t.tolerance
+    )
+
+
+def _offset_wrist_reversed(t: Table) -> Judgement:
+    checks, signs, names = _offset_wrist(_from_the_tool(t))
+    return [c._replace(fact=f"read from the tool to the base: {c.fact}") for c in checks], signs, names
+
+
 def _scara(t: Table) -> Judgement:
     turning = [i for i, kind in enumerate(t.kinds) if kind == "R"]
     along, points = t.axes()
@@ -282,6 +319,9 @@ class Rule(NamedTuple):
     judge: Callable[[Table], Judgement]
     summary: str
     task: str = "pose"
+    wide: bool = False
+    """Its polynomial has too high a degree for float32: it is computed in float64 where that is on, and
+    without it `Arm.complete` is False."""
 
 
 RULES = {
@@ -314,6 +354,20 @@ RULES = {
         "RRRRRR",
         _parallel_axes,
         "three consecutive axes parallel, the others anyhow",
+    ),
+    "offset_wrist": Rule(
+        "RRRRRR",
+        "RRRRRR",
+        _offset_wrist,
+        "axis 2 parallel to 3, axes 4 and 5 meeting, the others anyhow",
+        wide=True,
+    ),
+    "offset_wrist_reversed": Rule(
+        "RRRRRR",
+        "RRRRRR",
+        _offset_wrist_reversed,
+        "axes 2 and 3 meeting, axis 4 parallel to 5, the others anyhow",
+        wide=True,
     ),
     "scara": Rule(
         "RRPR|RRRP|PRRR|RPRR",

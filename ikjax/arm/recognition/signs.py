@@ -139,6 +139,19 @@ class ParallelAxesSigns(NamedTuple):
     """The third against the first, likewise."""
 
 
+class OffsetWristSigns(NamedTuple):
+    """Of `offset_wrist`, and of `offset_wrist_reversed` for its table read from the tool to the base."""
+
+    up: int
+    """+1 where axis 1 points up in the world that the arm was built into."""
+    sin_alpha1: int
+    """The sign of sin(alpha1)."""
+    cos_alpha2: int
+    """Axis 3 against axis 2: +1 parallel, -1 antiparallel."""
+    shared: int
+    """1 where front and back share joint 6, so that the polynomial has degree 4, else 0."""
+
+
 class ScaraSigns(NamedTuple):
     """Each axis against the first one that turns: +1 parallel, -1 antiparallel."""
 
@@ -201,6 +214,8 @@ SIGNS: dict[str, Any] = {
     "pieper": PieperSigns,
     "pieper_reversed": PieperSigns,
     "parallel_axes": ParallelAxesSigns,
+    "offset_wrist": OffsetWristSigns,
+    "offset_wrist_reversed": OffsetWristSigns,
     "scara": ScaraSigns,
     "five_axis": FiveAxisSigns,
     "turret": TurretSigns,

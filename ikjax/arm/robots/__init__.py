@@ -4,6 +4,7 @@ from ikjax.arm.arm import Arm
 from ikjax.arm.robots.catalogue import CATALOGUE, Entry
 from ikjax.arm.robots.five_joints import katana_6m180, so101, vx300
 from ikjax.arm.robots.industrial import irb120, irb2400, kr6_r900, lrmate200id, rx160
+from ikjax.arm.robots.offset_wrists import cobotta, crx10ia, gen3lite, gofa5, gofa10, hc10, link6, xarm6
 from ikjax.arm.robots.scara import gx4_351s
 from ikjax.arm.robots.seven_joints import fer, fr3, gen3, gen72, iiwa7, iiwa14, rm75, xarm7
 from ikjax.arm.robots.textbook import (

@@ -15,11 +15,13 @@ file names, and set for the second.
 from collections.abc import Callable
 from typing import NamedTuple
 
+from ikjax.core.trig import Scalar
 from ikjax.solvers.context import Branch, Joints
 from ikjax.solvers.families import (
     five_axis,
     five_locked,
     five_nearest,
+    offset_wrist,
     ortho_parallel_wrist,
     parallel_axes,
     pieper,
@@ -49,6 +51,11 @@ class Family(NamedTuple):
     limits."""
     lockable: tuple[int, ...] = ()
     """The joints that `locked` can lock, counted from 0."""
+    stacked: Callable[..., Branch] | None = None
+    """As `branches`, but all slots are one `Branch`, whose numbers have the slots as their first axis: where
+    there are so many that a program should contain each step once. Newton's method finishes them."""
+    margins: Callable[..., Scalar] | None = None
+    """(signs, links, goal, `Branch.fold`) -> the margins of `stacked`, to be differentiated."""
 
 
 FAMILIES = {
@@ -57,6 +64,20 @@ FAMILIES = {
     "pieper": Family(pieper.branches, first=3, last=0),
     "pieper_reversed": Family(pieper.reversed_branches, first=0, last=3),
     "parallel_axes": Family(parallel_axes.branches, first=0, last=0),
+    "offset_wrist": Family(
+        offset_wrist.branches,
+        first=0,
+        last=0,
+        stacked=offset_wrist.stacked,
+        margins=offset_wrist.margins,
+    ),
+    "offset_wrist_reversed": Family(
+        offset_wrist.reversed_branches,
+        first=0,
+        last=0,
+        stacked=offset_wrist.reversed_stacked,
+        margins=offset_wrist.reversed_margins,
+    ),
     "scara": Family(scara.branches, first=0, last=0, small=True),
     "five_axis": Family(
         five_axis.branches,
