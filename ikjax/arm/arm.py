@@ -544,26 +544,29 @@ def _nearest(
     """The arm of axes in space, its table made exact to the least tolerance that gives it a family.
 
     Of the exact table and that of the first tolerance, the one with the faster family is taken. The looser
-    tolerances are tried where neither has a family.
+    tolerances are tried where neither has a family, or one of sixteen slots. Of an `axis_tolerance` that is given, all up to it are
+    tried; a family that is complete comes before a faster one that is not.
     """
     if axis_tolerance is not None and not 0 <= axis_tolerance <= LARGEST_AXIS_TOLERANCE:
         raise ValueError(
             f"axis_tolerance must be between 0 and {LARGEST_AXIS_TOLERANCE}, got {axis_tolerance}"
         )
-    ladder = AXIS_LADDER if axis_tolerance is None else (axis_tolerance,)
-    best: tuple[int, Rewritten] | None = None
-    none = len(RULES)
+    ladder: tuple[float, ...] = AXIS_LADDER
+    if axis_tolerance is not None:
+        ladder = (*(rung for rung in AXIS_LADDER if rung < axis_tolerance), axis_tolerance)
+    best: tuple[tuple[bool, int], Rewritten] | None = None
+    none, slow = (True, len(RULES)), (False, list(RULES).index("offset_wrist"))
     for each in (FACT, *(max(rung, FACT) for rung in ladder)):
-        if each > ladder[0] and best is not None and best[0] < none:
+        if axis_tolerance is None and each > ladder[0] and best is not None and best[0] < slow:
             break
         table = rewritten(given, each)
         numbers = {**table.columns, "tool": table.tool}
         recognized = recognize.recognize(given.kinds, numbers, None, up, locked=locked).family
         # Axes that are made parallel for the size of the numbers may be off by more than was asked for.
-        within = _largest(table.correction, numbers) <= 4 * each
-        usable = recognized is not None and family in (None, recognized) and within
+        off = _largest(table.correction, numbers)
+        usable = recognized is not None and family in (None, recognized) and off <= 4 * each
         # The rank of a family is its place in RULES, where the faster ones come first.
-        rank = list(RULES).index(str(recognized)) if usable else none
+        rank = (off > COMPLETE, list(RULES).index(str(recognized))) if usable else none
         if best is None or rank < best[0]:
             best = rank, table
     assert best is not None

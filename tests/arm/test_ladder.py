@@ -103,11 +103,30 @@ def test_a_family_that_holds_needs_no_tolerance():
 
 
 def test_slots_that_may_be_too_few_are_said():
+    """A correction of a millimetre where no other family holds."""
+    arm = ikjax.robots.get("puma560")
+    table = {key: np.asarray(getattr(arm, key)) for key in ("a", "alpha", "d")}
+    correction = np.zeros((7, 6))
+    correction[5, 0] = 1e-3
+    given = ikjax.Arm.from_dh(**table, correction=correction, convention="standard")
+    assert given.family == "ortho_parallel_wrist" and not given.complete
+    assert "complete = False" in ikjax.explain(given)
+    assert arm.complete
+
+
+@pytest.mark.parametrize("tolerance", [None, 1e-2])
+def test_a_complete_family_comes_before_one_that_may_miss_slots(tolerance):
+    assert from_rows(LWA4P, axis_tolerance=tolerance).family == "offset_wrist"
+    assert from_rows(LWA4P, axis_tolerance=tolerance).complete
+
+
+@pytest.mark.slow
+def test_an_offset_by_design_loses_no_solution():
     arm = from_rows(LWA4P, axis_tolerance=1e-2)
-    assert arm.family is not None and not arm.complete
-    assert "complete = False" in ikjax.explain(arm)
-    assert ikjax.robots.get("ur5e").complete
-    assert not from_rows(LWA4P, axis_tolerance=1e-3).complete
+    q = np.random.default_rng(1).uniform(-2.9, 2.9, (1500, 6))
+    sol = ikjax.solve(arm, ikjax.fk(arm, q))
+    off = np.abs((np.asarray(sol.q) - q[:, None] + PI) % (2 * PI) - PI).max(-1)
+    assert (np.where(sol.valid, off, 9).min(-1) < 1e-4).all()
 
 
 def test_a_correction_that_valid_cannot_see_is_left_out():

@@ -24,7 +24,7 @@ def test_a_plain_sequence_gets_its_names_back():
     again = dataclasses.replace(arm, signs=tuple(stored)).signs
     assert again == arm.signs and type(again) is PieperSigns
     assert isinstance(again.split, RegionalSplit) and hash(again) == hash(arm.signs)
-    signs = named_signs("parallel_axes", [2, "within 1e-5", 1, 1, -1])
+    signs = named_signs("parallel_axes", [2, "within 1e-5", False, 1, 1, -1])
     assert signs.split is PairSplit.WITHIN_1E_5 and signs.split.is_split
     assert named_signs(None, [1, 2]) == (1, 2)
 

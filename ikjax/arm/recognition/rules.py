@@ -175,7 +175,7 @@ def _parallel_axes(t: Table) -> Judgement:
         checks.append(t.apart(f"axes {i + 1} and {i + 2} apart", apart))
     off, off_first = (x / t.size for x in _proportional(place, along, points))
     # The quartic is as good where joint B is nearly alone as elsewhere, so that this has no nearly.
-    b_alone = off_first <= SPLITS["parallel_axes"] and off_first < off
+    b_alone = bool(off_first <= SPLITS["parallel_axes"] and off_first < off)
     off = off_first if b_alone else off
     bounds = {
         PairSplit.EXACTLY: t.tolerance,
