@@ -23,6 +23,7 @@ from ikjax.core.warn import MOST_TURNS, warn_of_degrees
 from ikjax.core.xla import as_array, divider, in_blocks, pinning, stop_gradient
 from ikjax.ik.inline import entries_of, jit_with_arm, slots_of
 from ikjax.ik.quality import joint_clearances, limit_clearance
+from ikjax.ik.redundancy import with_ends
 from ikjax.ik.results import Solutions
 from ikjax.ik.select import of_slot, within_limits
 from ikjax.ik.solve import as_goals, check_family, solve
@@ -104,7 +105,7 @@ def self_motion(arm: Arm, goals: ArrayLike, *, samples: int = SAMPLES, parts: in
     if parts < 1:
         raise ValueError(f"parts must be 1 or more, got {parts}")
     arm, goals = stop_gradient((arm, goals))
-    values = _sample_values(arm, samples, goals.dtype)
+    values = with_ends(arm, samples, goals.dtype)
     sol = solve(arm, goals[..., None, :, :], redundancy=values)
     inside = within_limits(arm, sol)
 
@@ -115,7 +116,7 @@ def self_motion(arm: Arm, goals: ArrayLike, *, samples: int = SAMPLES, parts: in
     batch, flat = goals.shape[:-2], goals.reshape(-1, 4, 4)
     ends, is_part = _ends(arm, flat, values, clear.reshape(-1, *clear.shape[-2:]), np.zeros(parts, bool))
     return SelfMotion(
-        values,
+        jnp.asarray(values),
         slots_first(inside.q),
         slots_first(sol.valid),
         slots_first(inside.valid),
@@ -164,7 +165,7 @@ def nearest_on_self_motion(
     if factors.shape != (arm.n,):
         raise ValueError(f"weights must have shape ({arm.n},), got {factors.shape}")
     present = jnp.broadcast_to(present, (*goals.shape[:-2], arm.n))
-    values = _sample_values(arm, samples, goals.dtype)
+    values = with_ends(arm, samples, goals.dtype)
     arm, goals, present, factors = stop_gradient((arm, goals, present, factors))
     # Where the arm is now is one of the samples: a goal that it reaches already is found exactly.
     own = jnp.clip(present[..., arm.locked], values[0], values[-1])
@@ -188,24 +189,6 @@ def _checked(arm: Arm, goals: ArrayLike, samples: int) -> tuple[jax.Array, Arm]:
         raise ValueError(f"samples must be a whole number, 3 or more, got {samples!r}")
     goals = as_goals(goals)
     return goals, arm.baked().astype(goals.dtype)
-
-
-def _sample_values(arm: Arm, samples: int, dtype) -> jax.Array:
-    """Values of the redundant joint, (samples,), evenly over its limits.
-
-    Of a turning joint with a range of more than a turn, or without limits, a turn in its middle; of a slide
-    without a limit, two reaches.
-    """
-    low, high = (jnp.asarray(arm.limits, dtype)[arm.locked[0], k] for k in (0, 1))
-    turning = arm.kinds[arm.locked[0]] == "R"
-    half = jnp.asarray(np.pi if turning else reach(arm), dtype)
-    below, above = jnp.isfinite(low), jnp.isfinite(high)
-    middle = jnp.where(below, low + half, jnp.where(above, high - half, 0))
-    middle = jnp.where(below & above, low / 2 + high / 2, middle)
-    width = half if turning else jnp.where(below & above, jnp.inf, half)
-    low, high = jnp.maximum(low, middle - width), jnp.minimum(high, middle + width)
-    share = jnp.asarray(np.linspace(0, 1, samples), dtype)
-    return low + (high - low) * share
 
 
 def _clearance(arm: Arm, sol: Solutions) -> jax.Array:
