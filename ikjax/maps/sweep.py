@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, DTypeLike
 
 from ikjax.arm.arm import Arm
 from ikjax.core.tolerances import VALID
+from ikjax.ik.redundancy import checked_samples
 from ikjax.ik.solve import check_family
 from ikjax.maps import statistics
 from ikjax.maps.kernel.program import Kernel, kernel_of
@@ -233,13 +234,7 @@ def _checked_trials(arm: Arm, free_rolls: int, redundancy_samples: int | None) -
     """Values of each redundant joint; raises ValueError where there are too many trials, or none."""
     if isinstance(free_rolls, bool) or not isinstance(free_rolls, int) or not 1 <= free_rolls <= MOST_ROLLS:
         raise ValueError(f"free_rolls must be a whole number from 1 to {MOST_ROLLS}, got {free_rolls}")
-    if not arm.locked:
-        if redundancy_samples is not None:
-            raise ValueError(f"redundancy_samples is for arms with redundant joints, {arm.name} has none")
-        return 1
-    samples = REDUNDANCY_SAMPLES if redundancy_samples is None else redundancy_samples
-    if isinstance(samples, bool) or not isinstance(samples, int) or samples < 1:
-        raise ValueError(f"redundancy_samples must be a whole number above zero, got {samples!r}")
+    samples = checked_samples(arm, redundancy_samples, REDUNDANCY_SAMPLES)
     trials = free_rolls * samples ** len(arm.locked)
     if trials > MOST_TRIALS:
         raise ValueError(

@@ -197,13 +197,6 @@ def test_a_wrong_redundancy_is_named(name, shape, redundancy, text):
         ikjax.solve(build(name), np.zeros((*shape, 4, 4)), redundancy=redundancy)
 
 
-def test_what_takes_no_redundant_arms_says_so():
-    arm = build("fer")
-    for call in (ikjax.place, lambda arm, goals: ikjax.design(arm, goals, {"d3": (0.3, 0.4)})):
-        with pytest.raises(ValueError, match="takes no redundant arms yet"):
-            call(arm, np.eye(4))
-
-
 # Gradients.
 
 

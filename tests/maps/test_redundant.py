@@ -1,6 +1,5 @@
 """Sweeps of arms with a redundant joint: a goal counts where some value of that joint reaches it."""
 
-import dataclasses
 import functools
 
 import numpy as np
@@ -58,6 +57,7 @@ def longest_run(flags):
     return longest
 
 
+@pytest.mark.slow
 def test_a_sweep_counts_what_solve_answers_at_some_value():
     sol, reach = solved(), swept()
     valid = np.asarray(sol.valid)
@@ -73,6 +73,7 @@ def test_a_sweep_counts_what_solve_answers_at_some_value():
     np.testing.assert_allclose(flat["best_margin_within"], margin, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_widest_interval_is_the_longest_run_of_one_branch():
     sol, reach = solved(), swept()
     spacing = np.diff(np.asarray(fer().limits)[6])[0] / SAMPLES
@@ -114,6 +115,7 @@ def test_more_values_never_reach_less(name):
     assert 0.1 < more.reached().mean() < 0.95
 
 
+@pytest.mark.slow
 def test_a_map_is_stored_and_resumed_and_knows_its_samples(tmp_path):
     pytest.importorskip("tensorstore")
     whole = swept()
@@ -143,10 +145,12 @@ def test_a_certified_sweep_counts_as_float64_does():
         np.testing.assert_array_equal(sure.arrays[name].reshape(-1), swept().arrays[name].reshape(-1))
 
 
-def test_the_spec_of_an_arm_without_redundant_joints_is_as_it_was():
-    arm = ikjax.robots.puma560()
-    reach = dataclasses.replace(swept(), arm=arm, redundancy_samples=1)
-    assert "redundancy_samples" not in manifest.describe(reach)[0]
+def test_the_number_of_values_is_in_the_spec_of_redundant_arms_alone():
+    grid, turns = study()["positions"], ikjax.maps.even_rotations(3)
+    for name, samples in (("puma560", None), ("fer", 5)):
+        arm = ikjax.robots.get(name)
+        reach = ikjax.ReachMap(arm, grid, turns, 1, "float64", {}, {}, 0.0, redundancy_samples=samples or 1)
+        assert manifest.describe(reach)[0].get("redundancy_samples") == samples
 
 
 @pytest.mark.parametrize(
