@@ -33,7 +33,8 @@ print(
 # %%
 curve = ikjax.self_motion(arm, goal, samples=256)
 print(curve)
-plot.self_motion(arm, curve)
+figure = plot.self_motion(arm, curve)
+plt.show()
 
 # %% [markdown]
 # Some postures of one part, from one end to the other: the hand stands still, the elbow moves.
@@ -48,6 +49,7 @@ ax = figure.add_subplot(projection="3d")
 for posture, color in zip(postures, plt.get_cmap("viridis")(np.linspace(0, 1, len(postures))), strict=True):
     plot.arm(arm, posture, ax, color=color)
 ax.set_aspect("equal")
+plt.show()
 
 # %% [markdown]
 # ## A gradient that moves the elbow
@@ -99,6 +101,7 @@ for ax, reach, name in zip(axes, (free, stuck), ("32 values of joint 7", "joint 
     )
     ax.set(title=name, xlabel="x [m]", ylabel="z [m]")
 figure.colorbar(shown, ax=axes, label="share of orientations within limits")
+plt.show()
 shares = free.reached().mean(), stuck.reached().mean()
 print(f"{shares[0]:.1%} of all goals with joint 7 free, {shares[1]:.1%} with joint 7 at zero")
 
