@@ -179,7 +179,7 @@ def plan_of(study: Study):
     parameters = choose_parameters(arm, study.vary, study.ties)
     constant = ascent.ConstantArm(arm)
     return ascent.DesignPlan(
-        constant, parameters, study.objective, (), study.optimizer, study.limits, None, 1
+        constant, parameters, study.objective, (), study.optimizer, study.limits, None, 1, 1
     )
 
 

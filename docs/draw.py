@@ -1,6 +1,7 @@
 """Draw the pictures of the documentation again: `python docs/draw.py [NAME ...]`, some minutes.
 
-The library draws them: `ikjax.plot.branches` for every family, `ikjax.plot.sticks` for the concepts.
+The library draws them: `ikjax.plot.branches` for every family, `ikjax.plot.sticks` for the concepts,
+`ikjax.plot.self_motion` for seven joints.
 """
 
 import dataclasses
@@ -225,7 +226,20 @@ def precision():
     return figure
 
 
-CONCEPTS = {"margin": margin, "continuum": continuum, "given": given, "precision": precision}
+def self_motion():
+    """Every posture of a Franka that reaches one goal."""
+    arm = ikjax.robots.fer()
+    goal = ikjax.fk(arm, np.array([0.2, -0.4, 0.1, -1.9, 0.3, 1.8, 0.5]))
+    return ikjax.plot.self_motion(arm, ikjax.self_motion(arm, goal, samples=256))
+
+
+CONCEPTS = {
+    "margin": margin,
+    "continuum": continuum,
+    "given": given,
+    "precision": precision,
+    "self_motion": self_motion,
+}
 
 
 def main(names: list[str]) -> None:

@@ -544,8 +544,8 @@ def _nearest(
     """The arm of axes in space, its table made exact to the least tolerance that gives it a family.
 
     Of the exact table and that of the first tolerance, the one with the faster family is taken. The looser
-    tolerances are tried where neither has a family, or one of sixteen slots. Of an `axis_tolerance` that is given, all up to it are
-    tried; a family that is complete comes before a faster one that is not.
+    tolerances are tried where neither has a family, or one of sixteen slots. All tolerances up to an
+    `axis_tolerance` that is given are tried; a complete family comes before a faster one that is not.
     """
     if axis_tolerance is not None and not 0 <= axis_tolerance <= LARGEST_AXIS_TOLERANCE:
         raise ValueError(

@@ -20,9 +20,10 @@ from ikjax.maps.sweep import SweepStoppedError
 def _requested_study(options) -> study_file.Study:
     """The study that a file or the options describe."""
     if options.arm.endswith(".toml"):
-        for name in ("spacing", "orientations", "other_dtype", "certify", *FILE_OPTIONS):
+        names = ("spacing", "orientations", "redundancy_samples", "other_dtype", "certify")
+        for name in (*names, *FILE_OPTIONS):
             if getattr(options, name):
-                flag = "float64" if name == "other_dtype" else name
+                flag = "float64" if name == "other_dtype" else name.replace("_", "-")
                 raise ValueError(f"--{flag} is for {options.arm} to say")
         return study_file.read(options.arm)
     if options.certify and options.other_dtype:
@@ -31,7 +32,7 @@ def _requested_study(options) -> study_file.Study:
     orientations = 512 if options.orientations is None else options.orientations
     positions = ikjax.maps.around(arm, options.spacing or 0.05)
     dtype = "float64" if options.other_dtype else "float32"
-    rest = study_file.STATISTICS, None, dtype, options.certify
+    rest = study_file.STATISTICS, None, dtype, options.certify, options.redundancy_samples
     return study_file.Study(arm, positions, orientations, 1, *rest)
 
 

@@ -86,6 +86,9 @@ def build_parser() -> argparse.ArgumentParser:
     _add_file_options(sweep)
     sweep.add_argument("--spacing", type=_size, help="between positions [m], 0.05 by default")
     sweep.add_argument("--orientations", type=int, help="even ones at every position, 512 by default")
+    sweep.add_argument(
+        "--redundancy-samples", type=int, metavar="N", help="values of redundant joints, 32 by default"
+    )
     sweep.add_argument("--out", help="store the map here: a folder (zarr v3), or a URL such as s3://...")
     sweep.add_argument("--resume", action="store_true", help="continue the map at --out, or start it")
     sweep.add_argument("--force", action="store_true", help="replace a map; with --resume, another study's")

@@ -9,6 +9,7 @@ A file is data: unknown keys are refused, and a path in it starts from the file'
     spacing = 0.03                  # [m]
     orientations = 512              # even ones; or { wxyz = [[1, 0, 0, 0], ...] } or { hopf = 2 } or
                                     # { cone = { direction = [0, 0, -1], half_angle = 0.5, directions = 64 } }
+    redundancy_samples = 32         # values of redundant joints of which one must do
     free_rolls = 8                  # turns about the tool of which one must do; 1 by default
     bounds = [[-1, -1, 0], [1, 1, 1]]          # corners [m]; by default all that is within reach
     shell = { center = [0, 0, 0], radii = [0.5, 0.7], directions = 500 }       # in place of spacing
@@ -40,7 +41,7 @@ from ikjax.maps.statistics import available
 
 KEYS = (
     *("arm", "base", "tip", "axis_tolerance", "spacing", "orientations", "free_rolls", "bounds", "shell"),
-    *("surface", "limits", "statistics", "chunk", "dtype", "certify"),
+    *("surface", "limits", "statistics", "chunk", "dtype", "certify", "redundancy_samples"),
 )
 RENAMED = {"tolerance": "axis_tolerance", "rolls": "free_rolls"}
 """Keys of older files, and what they are called now."""
@@ -60,6 +61,7 @@ class Study(NamedTuple):
     chunk: tuple[int, ...] | None
     dtype: str
     certify: bool = False
+    redundancy_samples: int | None = None
 
 
 def read(path) -> Study:
@@ -135,12 +137,15 @@ def _parsed(entries: dict, folder: pathlib.Path) -> Study:
     ends = {key: entries.get(key) for key in ("base", "tip", "axis_tolerance")}
     arm = _with_limits(find_arm(entries["arm"], folder, **ends), entries.get("limits"))
     positions = _positions(entries, arm, folder)
-    statistics, known = entries.get("statistics", list(STATISTICS)), available()
+    statistics, known = entries.get("statistics", list(STATISTICS)), available(len(arm.locked) == 1)
     if not isinstance(statistics, list) or not all(name in known for name in statistics) or not statistics:
         raise ValueError(f"statistics must be a list of {', '.join(known)}, got {statistics!r}")
     free_rolls = entries.get("free_rolls", 1)
     if not _is_count(free_rolls):
         raise ValueError(f"free_rolls must be a whole number above zero, got {free_rolls!r}")
+    samples = entries.get("redundancy_samples")
+    if samples is not None and not _is_count(samples):
+        raise ValueError(f"redundancy_samples must be a whole number above zero, got {samples!r}")
     dtype = entries.get("dtype", "float32")
     if dtype not in ("float32", "float64"):
         raise ValueError(f'dtype must be "float32" or "float64", got {dtype!r}')
@@ -157,7 +162,7 @@ def _parsed(entries: dict, folder: pathlib.Path) -> Study:
         raise ValueError(f"chunk must be {axes} whole numbers above zero, got {chunk!r}")
     chunk = None if chunk is None else tuple(chunk)
     turns = _orientations(entries["orientations"])
-    return Study(arm, positions, turns, free_rolls, tuple(statistics), chunk, dtype, certify)
+    return Study(arm, positions, turns, free_rolls, tuple(statistics), chunk, dtype, certify, samples)
 
 
 def _positions(entries: dict, arm: Arm, folder: pathlib.Path) -> Grid | Shell | Surface:

@@ -316,15 +316,16 @@ class Descent(NamedTuple):
     """Joints at which derivatives are taken: q, or with a priority the minimizer of the last weighted sum."""
 
 
-def closed_form(arm: Arm, entries: Entries, characteristic_length) -> list[Descent]:
+def closed_form(arm: Arm, entries: Entries, characteristic_length, free: Joints = ()) -> list[Descent]:
     """Every branch of the closed form, moved into the limits and measured, without a step.
 
+    `free` are the values of the joints in `Arm.locked`.
     A list with fields (...) for each branch: a stack of them would be computed number by number.
     """
     goal, proper, policy = nearest_goal(arm, entries)
     shape, slots = goal.position[0].shape, []
     with pinning(policy):
-        branches = proposed(arm, goal)
+        branches = proposed(arm, goal, free)
     for q in branches:
         inside = tuple(policy(jnp.broadcast_to(x, shape)) for x in newton.into_limits(arm, q))
         end = _descend_within_limits(

@@ -23,10 +23,11 @@ from ikjax.core.warn import MOST_TURNS, warn_of_degrees
 from ikjax.core.xla import as_array, divider, in_blocks, pinning, stop_gradient
 from ikjax.ik.inline import entries_of, jit_with_arm, slots_of
 from ikjax.ik.quality import joint_clearances, limit_clearance
+from ikjax.ik.redundancy import with_ends
 from ikjax.ik.results import Solutions
 from ikjax.ik.select import of_slot, within_limits
 from ikjax.ik.solve import as_goals, check_family, solve
-from ikjax.ik.turns import limits_like, nearest_turn
+from ikjax.ik.turns import nearest_turn
 from ikjax.solvers.pipeline import Slot
 
 SAMPLES = 64
@@ -43,6 +44,18 @@ END_STEPS = 34
 
 CANDIDATES = 16
 """Local minima of the samples that are searched for the nearest posture."""
+
+PARTS_SEARCHED = 6
+"""Parts of one slot's curve, at most, that are searched for it."""
+
+SAMPLES_SEARCHED = 256
+"""Values of the redundant joint by which they are found: all slots are solved at once here, so more samples
+cost little beside the search itself."""
+
+PART_SAMPLES = 24
+"""Values in each part, its ends among them. They are the roots of a Chebyshev polynomial, so denser near the
+ends: at a fold the joints move as the square root of the distance from it, and so from one value to the next
+by equal amounts."""
 
 BLOCK = 64
 """Goals whose nearest postures are searched at a time: their samples fit the cache."""
@@ -104,7 +117,7 @@ def self_motion(arm: Arm, goals: ArrayLike, *, samples: int = SAMPLES, parts: in
     if parts < 1:
         raise ValueError(f"parts must be 1 or more, got {parts}")
     arm, goals = stop_gradient((arm, goals))
-    values = _sample_values(arm, samples, goals.dtype)
+    values = with_ends(arm, samples, goals.dtype)
     sol = solve(arm, goals[..., None, :, :], redundancy=values)
     inside = within_limits(arm, sol)
 
@@ -115,7 +128,7 @@ def self_motion(arm: Arm, goals: ArrayLike, *, samples: int = SAMPLES, parts: in
     batch, flat = goals.shape[:-2], goals.reshape(-1, 4, 4)
     ends, is_part = _ends(arm, flat, values, clear.reshape(-1, *clear.shape[-2:]), np.zeros(parts, bool))
     return SelfMotion(
-        values,
+        jnp.asarray(values),
         slots_first(inside.q),
         slots_first(sol.valid),
         slots_first(inside.valid),
@@ -131,14 +144,14 @@ def nearest_on_self_motion(
     q_now: ArrayLike,
     weights: ArrayLike | None = None,
     *,
-    samples: int = SAMPLES,
+    samples: int = SAMPLES_SEARCHED,
 ) -> tuple[jax.Array, jax.Array]:
     """The posture whose largest joint move is least, over all values of the redundant joint.
 
     `nearest` takes the best branch at one value of the redundant joint; this searches all values, within the
-    limits: from the best local minima of the samples, each by halving its bracket. It is a search and no
-    proof: of 1,000 pairs of random postures of a Franka, 8 answers were farther than the best of 512 values,
-    by up to 1 rad. They are beside folds, where the joints turn so fast that no sample points to the place.
+    limits. The parts of every slot's curve are found as `self_motion` finds them; each is sampled, its ends
+    and values that are denser near them, and the best local minima are searched by halving their brackets.
+    It is a search and no proof: a part that `self_motion` does not find is left out.
 
     Args:
         arm: An arm with one redundant joint.
@@ -164,19 +177,15 @@ def nearest_on_self_motion(
     if factors.shape != (arm.n,):
         raise ValueError(f"weights must have shape ({arm.n},), got {factors.shape}")
     present = jnp.broadcast_to(present, (*goals.shape[:-2], arm.n))
-    values = _sample_values(arm, samples, goals.dtype)
+    values = with_ends(arm, samples, goals.dtype)
     arm, goals, present, factors = stop_gradient((arm, goals, present, factors))
-    # Where the arm is now is one of the samples: a goal that it reaches already is found exactly.
-    own = jnp.clip(present[..., arm.locked], values[0], values[-1])
-    every = jnp.concatenate([jnp.broadcast_to(values, (*goals.shape[:-2], samples)), own], -1)
-    sol = solve(arm, goals[..., None, :, :], redundancy=every)
-    near = jnp.broadcast_to(present[..., None, None, :], sol.q.shape)
-    q, inside = nearest_turn(sol.q, *limits_like(arm, sol.q), near)
-    move = jnp.max(jnp.abs(q - near) * jnp.broadcast_to(factors, q.shape), axis=-1)
-    level = _level(arm, move, sol.valid & inside.all(-1), _clearance(arm, sol))
-    starts = _candidates(every, level, q)
-    search = functools.partial(_search, arm, factors)
-    found = in_blocks(search, goals.shape[:-2], (goals, present, *starts), BLOCK)
+    sol = solve(arm, goals[..., None, :, :], redundancy=values)
+    clear = jnp.swapaxes(_clearance(arm, sol), goals.ndim - 2, goals.ndim - 1)
+    flat, clear = goals.reshape(-1, 4, 4), clear.reshape(-1, *clear.shape[-2:])
+    ends, is_part = _ends(arm, flat, values, clear, np.zeros(PARTS_SEARCHED, bool))
+    search = functools.partial(_search, arm, factors, (values[0], values[-1]))
+    rows = flat, present.reshape(-1, arm.n), ends, is_part
+    found = in_blocks(search, (flat.shape[0],), rows, BLOCK).reshape(*goals.shape[:-2], arm.n + 1)
     return found[..., :-1], found[..., -1] > 0
 
 
@@ -188,24 +197,6 @@ def _checked(arm: Arm, goals: ArrayLike, samples: int) -> tuple[jax.Array, Arm]:
         raise ValueError(f"samples must be a whole number, 3 or more, got {samples!r}")
     goals = as_goals(goals)
     return goals, arm.baked().astype(goals.dtype)
-
-
-def _sample_values(arm: Arm, samples: int, dtype) -> jax.Array:
-    """Values of the redundant joint, (samples,), evenly over its limits.
-
-    Of a turning joint with a range of more than a turn, or without limits, a turn in its middle; of a slide
-    without a limit, two reaches.
-    """
-    low, high = (jnp.asarray(arm.limits, dtype)[arm.locked[0], k] for k in (0, 1))
-    turning = arm.kinds[arm.locked[0]] == "R"
-    half = jnp.asarray(np.pi if turning else reach(arm), dtype)
-    below, above = jnp.isfinite(low), jnp.isfinite(high)
-    middle = jnp.where(below, low + half, jnp.where(above, high - half, 0))
-    middle = jnp.where(below & above, low / 2 + high / 2, middle)
-    width = half if turning else jnp.where(below & above, jnp.inf, half)
-    low, high = jnp.maximum(low, middle - width), jnp.minimum(high, middle + width)
-    share = jnp.asarray(np.linspace(0, 1, samples), dtype)
-    return low + (high - low) * share
 
 
 def _clearance(arm: Arm, sol: Solutions) -> jax.Array:
@@ -324,9 +315,9 @@ def _ends(
         to_high = (left >= 0) == rising
         low = jnp.where(searching | to_high, low, half)
         high = jnp.where(searching | ~to_high, high, half)
-        found = crossings(bracket)
+        # Sorting takes longer than the closed form.
         start = i == EXTREMUM_STEPS - 1
-        new = tuple(jnp.where(start, x, y) for x, y in zip(found, (low, high, rising, there), strict=True))
+        new = jax.lax.cond(start, lambda: crossings(bracket), lambda: (low, high, rising, there))
         return bracket, *new
 
     start = (bracket, *crossings(bracket))
@@ -342,42 +333,77 @@ def _ends(
     return jnp.where(is_part[..., None], pairs, values[..., -1:, None]), is_part
 
 
-def _candidates(every: jax.Array, level: jax.Array, q: jax.Array) -> tuple[jax.Array, ...]:
-    """The best local maxima of samples: slot, bracket, level and joints of each, (..., C) and (..., C, n).
+def _part_samples(ends: jax.Array, own: jax.Array, span: tuple) -> tuple[jax.Array, ...]:
+    """Values to be tried on the curves of all slots, and the values beside each on its curve, (N, M) each.
 
     Args:
-        every: (..., R + 1) the values, of which the last is of the arm's present joints.
-        level: (..., R + 1, S).
-        q: (..., R + 1, S, n).
+        ends: (N, S, P, 2) of the parts.
+        own: (N,) where the redundant joint is now: tried too, so that a goal that is reached already is found
+            exactly.
+        span: The least and the greatest value of the redundant joint.
+
+    Returns:
+        The slots (N, M), the values, those below and those above.
     """
-    batch, count, slots = level.shape[:-2], level.shape[-2], level.shape[-1]
-    grid, beside = level[..., :-1, :], jnp.full((*batch, 1, slots), -jnp.inf, level.dtype)
-    before = jnp.concatenate([beside, grid[..., :-1, :]], -2)
-    after = jnp.concatenate([grid[..., 1:, :], beside], -2)
-    peak = jnp.where((grid >= before) & (grid >= after), grid, -jnp.inf)
-    peak = jnp.concatenate([peak, level[..., -1:, :]], -2).reshape(*batch, count * slots)
-    best, place = jax.lax.top_k(peak, CANDIDATES)
-    middle = _pick(every, place // slots)
-    apart = every[..., 1:2] - every[..., :1]
-    low = jnp.maximum(middle - apart, every[..., :1])
-    high = jnp.minimum(middle + apart, every[..., -2:-1])
-    joints = jnp.take_along_axis(q.reshape(*batch, count * slots, -1), place[..., None], axis=-2)
-    return place % slots, low, middle, high, best, joints
+    count, slots, parts, _ = ends.shape
+    share = ((1 - np.cos(np.linspace(0, np.pi, PART_SAMPLES))) / 2).astype(ends.dtype)
+    low, high = ends[..., :1], ends[..., 1:]
+    inner = low + (high - low) * share
+    inner = jnp.where(share == 1, high, inner)
+    below = jnp.concatenate([inner[..., :1], inner[..., :-1]], -1)
+    above = jnp.concatenate([inner[..., 1:], inner[..., -1:]], -1)
+    slot = jnp.arange(slots, dtype=jnp.int32)
+    slot_inside = jnp.broadcast_to(slot[:, None, None], inner.shape)
+    apart = (span[1] - span[0]) / SAMPLES
+    now = jnp.broadcast_to(jnp.clip(own, *span)[:, None], (count, slots))
+    beside = jnp.maximum(now - apart, span[0]), jnp.minimum(now + apart, span[1])
+    ours = jnp.broadcast_to(slot, now.shape), now, *beside
+    # A whole number of steps of the search.
+    spare = -(slots * parts * PART_SAMPLES + slots) % (2 * CANDIDATES)
+
+    def joined(inside, mine):
+        every = jnp.concatenate([inside.reshape(count, -1), mine], -1)
+        return jnp.concatenate([every, jnp.broadcast_to(every[:, -1:], (count, spare))], -1)
+
+    return tuple(map(joined, (slot_inside, inner, below, above), ours))
+
+
+def _peaks(level: jax.Array, is_part: jax.Array) -> jax.Array:
+    """The levels (N, M) at local maxima along each part and where the arm is now, else -inf."""
+    inside = level[:, : is_part[0].size * PART_SAMPLES].reshape(*is_part.shape, PART_SAMPLES)
+    beside = jnp.full((*is_part.shape, 1), -jnp.inf, level.dtype)
+    before = jnp.concatenate([beside, inside[..., :-1]], -1)
+    after = jnp.concatenate([inside[..., 1:], beside], -1)
+    is_peak = is_part[..., None] & (inside >= before) & (inside >= after)
+    peaks = jnp.where(is_peak, inside, -jnp.inf).reshape(level.shape[0], -1)
+    return jnp.concatenate([peaks, level[:, peaks.shape[1] :]], -1)
 
 
 @functools.partial(jit_with_arm, whole=True)
-def _search(arm: Arm, factors, goals: jax.Array, present: jax.Array, slot, low, middle, high, level, q):
-    """The best candidate after its search: q and whether it counts, (..., n + 1)."""
-    batch, flat = goals.shape[:-2], goals.reshape(-1, 4, 4)
-    now = present.reshape(-1, arm.n)
-    slot, low, middle, high, level = (x.reshape(-1, CANDIDATES) for x in (slot, low, middle, high, level))
-    q = q.reshape(-1, CANDIDATES, arm.n)
-    own = jnp.concatenate([slot, slot], -1)
+def _search(arm: Arm, factors, span, flat: jax.Array, now: jax.Array, ends: jax.Array, is_part: jax.Array):
+    """The nearest posture of each goal, and whether there is one, (N, n + 1).
+
+    The first steps evaluate the samples of all parts, the others halve the brackets of the best of them; one
+    loop, so that the closed form is compiled once.
+
+    Args:
+        arm: The arm.
+        factors: (n,) on the moves.
+        span: The least and the greatest value of the redundant joint.
+        flat: (N, 4, 4) goals.
+        now: (N, n) present joints.
+        ends: (N, S, P, 2) of the parts of each slot's curve.
+        is_part: (N, S, P) whether there are so many.
+    """
+    own, samples, below, above = _part_samples(ends, now[:, arm.locked[0]], span)
     weight = [factors[i] for i in range(arm.n)]
     ranges = [numbers(arm.limits[i]) for i in range(arm.n)]
+    width = 2 * CANDIDATES
+    sampling_steps = samples.shape[1] // width
 
-    def at(r: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Joints (N, K, n) of the candidates' slots at values (N, K), and their levels."""
+    def at(own: jax.Array, r: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Joints (N, K, n) of slots at values, both (N, K), and their levels."""
+        pin = divider(r)
         every = _slots_at(arm, flat, r)
         values = [of_slot(own, [each.q[i] for each in every]) for i in range(arm.n)]
         margin, valid = (
@@ -390,24 +416,53 @@ def _search(arm: Arm, factors, goals: jax.Array, present: jax.Array, slot, low, 
         for i, (x, (lower, upper), whole) in enumerate(zip(values, ranges, whole_turns(arm), strict=True)):
             near = jnp.broadcast_to(now[:, i : i + 1], x.shape)
             turned, inside = nearest_turn(x, lower, upper, whole, near)
-            moved.append(turned)
+            moved.append(pin(turned))
             moves.append(jnp.abs(turned - near) * weight[i])
             counts = counts & inside
-        return jnp.stack(moved, -1), _level(arm, functools.reduce(jnp.maximum, moves), counts, clear)
+        return jnp.stack(moved, -1), pin(_level(arm, functools.reduce(jnp.maximum, moves), counts, clear))
 
-    def step(_, state):
-        bracket, q = state
-        low, middle, high, _ = bracket
-        tried_q, tried = at(jnp.concatenate([(low + middle) / 2, (middle + high) / 2], -1))
+    def best_samples(levels: jax.Array, joints: jax.Array):
+        """Slot, bracket, level and joints of the best samples."""
+        best, place = jax.lax.top_k(_peaks(levels, is_part), CANDIDATES)
+        bracket = _pick(below, place), _pick(samples, place), _pick(above, place), best
+        return _pick(own, place), bracket, jnp.take_along_axis(joints, place[..., None], axis=1)
+
+    def step(i, state):
+        levels, joints, (slot, bracket, q) = state
+        sampling = i < sampling_steps
+        first = jnp.minimum(i, sampling_steps - 1) * width
+        low, middle, high, best = bracket
+        halves = jnp.concatenate([(low + middle) / 2, (middle + high) / 2], -1)
+        tried_q, tried = at(
+            jnp.where(
+                sampling,
+                jax.lax.dynamic_slice_in_dim(own, first, width, 1),
+                jnp.concatenate([slot, slot], -1),
+            ),
+            jnp.where(sampling, jax.lax.dynamic_slice_in_dim(samples, first, width, 1), halves),
+        )
         left, right = tried[:, :CANDIDATES], tried[:, CANDIDATES:]
         better = jnp.where((left >= right)[..., None], tried_q[:, :CANDIDATES], tried_q[:, CANDIDATES:])
-        q = jnp.where((jnp.maximum(left, right) > bracket[3])[..., None], better, q)
-        return _halved(bracket, (left, right)), q
+        q = jnp.where((jnp.maximum(left, right) > best)[..., None], better, q)
 
-    (_, _, _, level), q = jax.lax.fori_loop(0, EXTREMUM_STEPS, step, ((low, middle, high, level), q))
+        def put(whole, part):
+            return jax.lax.dynamic_update_slice_in_dim(whole, part, first, 1)
+
+        levels = jnp.where(sampling, put(levels, tried), levels)
+        joints = jnp.where(sampling, put(joints, tried_q), joints)
+        searched = slot, _halved(bracket, (left, right)), q
+        last = i == sampling_steps - 1
+        chosen = jax.lax.cond(last, lambda: best_samples(levels, joints), lambda: searched)
+        return levels, joints, chosen
+
+    levels = jnp.full(samples.shape, -jnp.inf, samples.dtype)
+    joints = jnp.zeros((*samples.shape, arm.n), samples.dtype)
+    start = levels, joints, best_samples(levels, joints)
+    steps = sampling_steps + EXTREMUM_STEPS
+    _, _, (_, (_, _, _, level), q) = jax.lax.fori_loop(0, steps, step, start)
     winner = jnp.argmax(level, axis=-1)[:, None]
     level = jnp.take_along_axis(level, winner, axis=-1)
     q = jnp.take_along_axis(q, winner[..., None], axis=1)[:, 0]
     found = level > 0
     q = jnp.where(found, q, now)
-    return jnp.concatenate([q, found.astype(q.dtype)], -1).reshape(*batch, arm.n + 1)
+    return jnp.concatenate([q, found.astype(q.dtype)], -1)

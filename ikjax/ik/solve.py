@@ -172,19 +172,6 @@ def check_family(arm: Arm) -> None:
     raise ValueError(refusal(arm))
 
 
-def check_not_redundant(arm: Arm, what: str) -> None:
-    """Raise where an arm has redundant joints, for what takes none yet.
-
-    Raises:
-        ValueError: Naming the joints.
-    """
-    if arm.locked:
-        raise ValueError(
-            f"{what} takes no redundant arms yet, and {arm.name} leaves {', '.join(arm.redundant)} free: "
-            "build it with that joint's value in its base or tool"
-        )
-
-
 _ACCEPTED = (jnp.float32, jnp.float64)
 
 

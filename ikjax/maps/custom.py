@@ -19,7 +19,7 @@ from ikjax.maps.kernel.sample import Channel, Goal
 from ikjax.maps.store.manifest import check_name
 
 MAX_UNITS = 2**25
-"""Largest number of a goal, in units, over all its rolls, where numbers are summed."""
+"""Largest number of a goal, in units, over all its trials, where numbers are summed."""
 
 CLOSED = "closed"
 """Key of the errors of the closed form in `Goal.cache`, for all statistics `Near`."""
@@ -55,7 +55,7 @@ class Near:
 
     def channel(self) -> Channel:
         """Its channel in the loop."""
-        return Channel("count", self._is_near, any_roll=True, pinned=True)
+        return Channel("count", self._is_near, any_trial=True, pinned=True)
 
     def _is_near(self, goal: Goal) -> jax.Array:
         """Whether some branch is within both tolerances, int32 (positions, orientations)."""
@@ -72,7 +72,7 @@ def _branch_errors(goal: Goal) -> list[tuple[jax.Array, jax.Array]]:
     position = [jnp.broadcast_to(x, goal.shape) for x in goal.pose.position]
     zero = jnp.zeros_like(position[0])
     rows = [(*row, x) for row, x in zip(goal.pose.rotation, position, strict=True)]
-    slots = closed_form(goal.arm, (*rows, (zero, zero, zero, zero + 1)), zero + 1)
+    slots = closed_form(goal.arm, (*rows, (zero, zero, zero, zero + 1)), zero + 1, goal.free)
     return [(slot.position_error, slot.rotation_error) for slot in slots]
 
 
@@ -90,7 +90,7 @@ class Measure:
     function: Callable[[Solutions], Any]
     """From `Solutions` as of `solve`, with fields (..., S) and `q` (..., S, n), to numbers (...)."""
     reduce: str
-    """"sum", "max" or "min" over orientations, and over free rolls."""
+    """"sum", "max" or "min" over orientations, free rolls and values of the redundant joint."""
     unit: float = 1.0
     """Of a sum: each number is rounded to whole units, so that sums have the same bits in any order."""
 
@@ -116,15 +116,15 @@ class Measure:
             raise ValueError(f"{self.name} must return one number a goal, (2, 3) for (2, 3), got {shapes}")
         return {"reduce": self.reduce, "unit": float(self.unit), "code": code}
 
-    def channels(self, rolls: int) -> dict[str, Channel]:
+    def channels(self, trials: int) -> dict[str, Channel]:
         """Its channels in the loop, by name.
 
         Args:
-            rolls: Free rolls of each orientation.
+            trials: Of each goal.
         """
         if self.reduce != "sum":
             return {self.name: Channel(self.reduce, lambda goal: self._value(goal), pinned=True)}
-        most = MAX_UNITS // rolls
+        most = MAX_UNITS // trials
 
         def units(goal: Goal) -> jax.Array:
             value = jnp.round(self._value(goal) / self.unit)
@@ -135,7 +135,7 @@ class Measure:
 
         return {
             self.name: Channel("sum", units, pinned=True),
-            f"{self.name}.too_large": Channel("count", too_large, any_roll=True, pinned=True),
+            f"{self.name}.too_large": Channel("count", too_large, any_trial=True, pinned=True),
         }
 
     def finish(self, result: np.ndarray, too_large: np.ndarray | None = None) -> np.ndarray:

@@ -60,6 +60,8 @@ class ReachMap:
     """Duration without compiling; of a resumed sweep, what all units would take at its last rate."""
     units: Units | None = None
     """Of a sweep into a store: what was there before. Else None."""
+    redundancy_samples: int = 1
+    """Values of each redundant joint of which one has to reach a goal; 1 where there is none."""
 
     def _read(self, name: str) -> np.ndarray:
         """A statistic, read whole; ValueError where the map was made without it."""
@@ -175,9 +177,11 @@ class ReachMap:
         """The headline figures in a few lines for people."""
         n = self.numbers()
         rolls = f", free to turn ({self.free_rolls} tried)" if self.free_rolls > 1 else ""
+        redundant = " and ".join(self.arm.redundant)
+        values = f", {self.redundancy_samples} values of {redundant}" if redundant else ""
         lines = [
             f"{self.arm.name}: {n['goals']:,} goals, {self.positions.in_words()} "
-            f"x {n['orientations']:,} orientations{rolls}"
+            f"x {n['orientations']:,} orientations{rolls}{values}"
         ]
         if "reach" in n:
             part = (
@@ -200,7 +204,7 @@ class ReachMap:
         if within is not None and anyhow is not None:
             lines.append(
                 f"  solutions         {within:.2f} a reachable goal within limits, "
-                f"{anyhow:.2f} without limits"
+                f"{anyhow:.2f} without limits{', at all values together' if redundant else ''}"
             )
         if "goals_reachable" in n and "goals_reachable_within" in n:
             lines.append(
@@ -295,6 +299,7 @@ class ReachMap:
             statistic_specs=head.spec["statistics"],
             arrays={name: arrays[name] for name in head.names},
             seconds=head.seconds,
+            redundancy_samples=head.spec.get(manifest.SAMPLES, 1),
         )
 
 

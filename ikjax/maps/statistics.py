@@ -15,6 +15,14 @@ Every name but `best_limit_share` has a twin with `_within`, for solutions withi
     best_limit_share                  of the joint nearest to its limit, 1 in the middle, 0 at the limit,
                                       negative beyond it; -inf without a solution
 
+Of an arm with redundant joints each goal is tried at several values of them. An orientation is reached if one
+of these does; solutions are those of all values together, and means are over them.
+
+    widest_interval                   of an arm with one redundant joint: the longest interval of its values
+                                      on which one branch reaches one of the orientations [rad, m], by
+                                      samples: the most in a row, times their distance. An interval that goes
+                                      on past the ends of a whole turn counts as two
+
 `Near` counts orientations that an arm comes near, `Measure` is a user's own statistic.
 """
 
@@ -27,6 +35,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ikjax.arm.arm import Arm
+from ikjax.core.xla import through_one_number
+from ikjax.ik.redundancy import redundant_range
 from ikjax.maps.custom import Measure, Near
 from ikjax.maps.kernel import joint_measures
 from ikjax.maps.kernel.sample import GOALS_PER_WORD, Channel, Goal
@@ -70,7 +80,9 @@ class Plan(NamedTuple):
         return {name: statistic.spec() for name, statistic in self.statistics.items()}
 
 
-def plan(arm: Arm, wanted: Iterable[str | Custom], orientations: int, rolls: int = 1) -> Plan:
+def plan(
+    arm: Arm, wanted: Iterable[str | Custom], orientations: int, rolls: int = 1, samples: int = 1
+) -> Plan:
     """The statistics asked for, and their channels.
 
     Args:
@@ -78,19 +90,23 @@ def plan(arm: Arm, wanted: Iterable[str | Custom], orientations: int, rolls: int
         wanted: Names from `available`, or statistics of the user's own.
         orientations: Number at each position.
         rolls: Free rolls of each orientation.
+        samples: Values of each redundant joint.
 
     Raises:
         ValueError: An unknown name, a name twice, or no name at all.
     """
-    given, known = list(wanted), available()
+    given, known = list(wanted), available(redundant=len(arm.locked) == 1)
+    trials = rolls * samples ** len(arm.locked)
     names = [each.name if isinstance(each, Custom) else str(each) for each in given]
     wrong = [name for name, each in zip(names, given, strict=True) if (name in known) == (each is not name)]
     if wrong or not names or len(set(names)) < len(names):
         raise ValueError(f"statistics must be some of {', '.join(known)}, got {', '.join(names) or 'none'}")
     built = {
-        name: _custom(arm, each, rolls)
+        name: _custom(arm, each, trials)
         if isinstance(each, Custom)
-        else _named(arm, name, orientations, rolls)
+        else _widest_interval(arm, name, samples)
+        if name.removesuffix("_within") == WIDEST
+        else _named(arm, name, orientations, trials)
         for name, each in zip(names, given, strict=True)
     }
     channels = {key: channel for _, channels in built.values() for key, channel in channels.items()}
@@ -116,10 +132,17 @@ def certified(plan: Plan) -> Plan:
     return Plan(again, plan.channels, certify=True)
 
 
-def available() -> list[str]:
-    """Names of all statistics; every arm that can be swept has all of them."""
-    return [*(name + end for name in _TWINS for end in ("", "_within")), "best_limit_share"]
+def available(redundant: bool = False) -> list[str]:
+    """Names of all statistics; every arm that can be swept has all of them.
 
+    Args:
+        redundant: With those of an arm with one redundant joint.
+    """
+    names = [*(name + end for name in _TWINS for end in ("", "_within")), "best_limit_share"]
+    return [*names, WIDEST, f"{WIDEST}_within"] if redundant else names
+
+
+WIDEST = "widest_interval"
 
 _TWINS = (
     *("reachable", "solutions", "branches", "mask", "best_margin"),
@@ -127,24 +150,24 @@ _TWINS = (
 )
 
 
-def _custom(arm: Arm, wanted: Custom, rolls: int) -> tuple[Statistic, dict[str, Channel]]:
+def _custom(arm: Arm, wanted: Custom, trials: int) -> tuple[Statistic, dict[str, Channel]]:
     """A statistic of the user's own, and its channels."""
     if isinstance(wanted, Near):
         statistic = Statistic("int32", (wanted.name,), _as_counts, facts=wanted.facts())
         return statistic, {wanted.name: wanted.channel()}
-    channels = wanted.channels(rolls)
+    channels = wanted.channels(trials)
     dtype = "float64" if wanted.reduce == "sum" else arm.dtype.name
     return Statistic(dtype, tuple(channels), wanted.finish, facts=wanted.facts(arm)), channels
 
 
-def _named(arm: Arm, name: str, orientations: int, rolls: int) -> tuple[Statistic, dict[str, Channel]]:
+def _named(arm: Arm, name: str, orientations: int, trials: int) -> tuple[Statistic, dict[str, Channel]]:
     """The statistic of a name from `available`, and its channels."""
     base = name.removesuffix("_within")
     inside = base != name
     slots = len(arm.branches)
     if base == "reachable":
         value = functools.partial(_is_reached, inside=inside)
-        channel = Channel("count", value, inside=inside, any_roll=True)
+        channel = Channel("count", value, inside=inside, any_trial=True)
         return Statistic("int32", (name,), _as_counts), {name: channel}
     if base == "solutions":
         value = functools.partial(_solution_count, inside=inside)
@@ -153,7 +176,7 @@ def _named(arm: Arm, name: str, orientations: int, rolls: int) -> tuple[Statisti
     if base == "branches":
         channels = {
             f"{name}.{k}": Channel(
-                "count", functools.partial(_is_valid, k=k, inside=inside), inside=inside, any_roll=True
+                "count", functools.partial(_is_valid, k=k, inside=inside), inside=inside, any_trial=True
             )
             for k in range(slots)
         }
@@ -174,13 +197,30 @@ def _named(arm: Arm, name: str, orientations: int, rolls: int) -> tuple[Statisti
     if kind == "best":
         value = functools.partial(joint_measures.best_of_slots, what=what, inside=inside)
         return Statistic("float32", (name,), _first_column), {name: Channel("max", value, pinned=True)}
-    unit = joint_measures.unit_of_mean(slots, rolls)
+    unit = joint_measures.unit_of_mean(slots, trials)
     value = functools.partial(joint_measures.sum_of_slots, what=what, inside=inside, unit=unit)
     # A mean needs the number of solutions too.
     counted = f"solutions{'_within' if inside else ''}"
-    channels = {name: Channel("sum", value, pinned=True)} | _named(arm, counted, orientations, rolls)[1]
+    channels = {name: Channel("sum", value, pinned=True)} | _named(arm, counted, orientations, trials)[1]
     finish = functools.partial(_mean, unit=unit)
     return Statistic("float32", tuple(channels), finish, facts={"unit": unit}), channels
+
+
+def _widest_interval(arm: Arm, name: str, samples: int) -> tuple[Statistic, dict[str, Channel]]:
+    low, high = redundant_range(arm.baked(), arm.locked[0], arm.dtype)
+    inside = name != WIDEST
+    value = functools.partial(_flags_in_bits, inside=inside)
+    channel = Channel("run", value, max_per_goal=len(arm.branches), inside=inside)
+    finish = functools.partial(_in_spacings, spacing=float(high - low) / samples)
+    return Statistic("float32", (name,), finish), {name: channel}
+
+
+def _flags_in_bits(goal: Goal, inside: bool) -> jax.Array:
+    return through_one_number(goal.flags(inside), goal.slots[0].margin, goal.shape, goal.pin)
+
+
+def _in_spacings(result: np.ndarray, spacing: float) -> np.ndarray:
+    return (result[:, 0] * spacing).astype(np.float32)
 
 
 def _mean(total: np.ndarray, number: np.ndarray, unit: float) -> np.ndarray:

@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike, DTypeLike
 
 from ikjax.arm.arm import Arm
 from ikjax.core.tolerances import VALID
-from ikjax.ik.solve import check_family, check_not_redundant
+from ikjax.ik.redundancy import checked_samples
+from ikjax.ik.solve import check_family
 from ikjax.maps import statistics
 from ikjax.maps.kernel.program import Kernel, kernel_of
 from ikjax.maps.processes import Processes
@@ -38,6 +39,11 @@ MOST_POSITIONS = 2**31
 """Most positions of one sweep."""
 MOST_ROLLS = 1024
 """Most free rolls of a goal."""
+REDUNDANCY_SAMPLES = 32
+"""Values of a redundant joint by default."""
+MOST_TRIALS = 4096
+"""Most trials of a goal, rolls times values of redundant joints: means are rounded to coarser units the more
+there are."""
 CALL_SECONDS, UNIT_SECONDS = 0.5, 60.0
 """Longest duration of a call and of a unit of a slow arm, about."""
 
@@ -48,6 +54,7 @@ def sweep(
     orientations: Orientations | int | ArrayLike,
     *,
     free_rolls: int = 1,
+    redundancy_samples: int | None = None,
     dtype: DTypeLike | None = None,
     certify: bool = False,
     statistics: str | statistics.Custom | Iterable[str | statistics.Custom] = statistics.USUAL,
@@ -75,6 +82,10 @@ def sweep(
         free_rolls: From 1 to 1024. Where the tool may turn about its own z axis: so many turns of each
             orientation are tried, and it counts as reached if one of them is. Solutions are then those of all
             turns.
+        redundancy_samples: Of an arm with redundant joints: so many values of each are tried, 32 by default,
+            the middles of equal parts of its range (its limits, or a turn). A goal counts as reached if one
+            of them reaches it, so what lies between two values may be missed. Statistics are over all of
+            them, as `maps.statistics` says.
         dtype: float32 or float64 of the kernel; by default the arm's.
         certify: For a float32 sweep: goals for which float32 cannot decide which solutions exist (near a
             fold, a singularity or a limit) are solved again in float64. Counts and masks then are those of a
@@ -102,13 +113,22 @@ def sweep(
         StorageError: The store cannot be written; the units before that are whole.
         SweepStoppedError: `stop` gave a reason.
     """
-    kernel_dtype = _checked_dtype(arm, positions, free_rolls, dtype, certify)
+    kernel_dtype = _checked_dtype(arm, positions, dtype, certify)
+    samples = _checked_trials(arm, free_rolls, redundancy_samples)
     # A copy, because the map keeps the arm that was swept, and the caller may write to these arrays.
     arm = jax.tree.map(lambda leaf: leaf.copy() if isinstance(leaf, np.ndarray) else leaf, arm)
     turns = as_orientations(orientations)
-    plan = _plan(arm.astype(kernel_dtype), statistics, turns, free_rolls, certify)
+    plan = _plan(arm.astype(kernel_dtype), statistics, turns, (free_rolls, samples), certify)
     study = ReachMap(
-        arm, positions, turns, free_rolls, kernel_dtype.name, plan.specs(), arrays={}, seconds=0.0
+        arm,
+        positions,
+        turns,
+        free_rolls,
+        kernel_dtype.name,
+        plan.specs(),
+        arrays={},
+        seconds=0.0,
+        redundancy_samples=samples,
     )
     spec, fixed = manifest.describe(study)
     kernel = kernel_of(study, plan)
@@ -185,12 +205,9 @@ def _opened_store(
         yield processes, disk, good.astype(bool).tolist(), units, log
 
 
-def _checked_dtype(
-    arm: Arm, positions: PositionSet, free_rolls: int, dtype: DTypeLike | None, certify: bool
-) -> np.dtype:
+def _checked_dtype(arm: Arm, positions: PositionSet, dtype: DTypeLike | None, certify: bool) -> np.dtype:
     """The kernel's floating type; raises ValueError where an argument of the sweep is out of range."""
     check_family(arm)
-    check_not_redundant(arm, "sweep")
     if arm.task.startswith("planar"):
         raise ValueError(
             f"{arm.name} moves in a plane (task {arm.task!r}), so a map in space says nothing of it"
@@ -205,8 +222,6 @@ def _checked_dtype(
         raise ValueError(
             f"positions must be at most {MOST_POSITIONS:,} in one sweep, got {positions.count:,}"
         )
-    if isinstance(free_rolls, bool) or not isinstance(free_rolls, int) or not 1 <= free_rolls <= MOST_ROLLS:
-        raise ValueError(f"free_rolls must be a whole number from 1 to {MOST_ROLLS}, got {free_rolls}")
     if certify and kernel_dtype != np.float32:
         raise ValueError(f"certify is for float32 sweeps, got dtype {kernel_dtype}, which needs none")
     needed = np.dtype(np.float64) if certify else kernel_dtype
@@ -215,20 +230,35 @@ def _checked_dtype(
     return kernel_dtype
 
 
+def _checked_trials(arm: Arm, free_rolls: int, redundancy_samples: int | None) -> int:
+    """Values of each redundant joint; raises ValueError where there are too many trials, or none."""
+    if isinstance(free_rolls, bool) or not isinstance(free_rolls, int) or not 1 <= free_rolls <= MOST_ROLLS:
+        raise ValueError(f"free_rolls must be a whole number from 1 to {MOST_ROLLS}, got {free_rolls}")
+    samples = checked_samples(arm, redundancy_samples, REDUNDANCY_SAMPLES)
+    trials = free_rolls * samples ** len(arm.locked)
+    if trials > MOST_TRIALS:
+        raise ValueError(
+            f"free_rolls x redundancy_samples must be at most {MOST_TRIALS:,} (samples of each of "
+            f"{len(arm.locked)} redundant joints), got {trials:,}"
+        )
+    return samples
+
+
 def _plan(
     arm: Arm,
     names: str | statistics.Custom | Iterable[str | statistics.Custom],
     turns: Orientations,
-    free_rolls: int,
+    trials: tuple[int, int],
     certify: bool,
 ) -> statistics.Plan:
-    """The statistics of a sweep, and their channels."""
+    """The statistics of a sweep, and their channels; `trials` are rolls, and values of a redundant joint."""
     # Solutions of a position are counted in 31 bits.
-    most = turns.count * free_rolls * len(arm.branches)
+    most = turns.count * trials[0] * trials[1] ** len(arm.locked) * len(arm.branches)
     if most >= 2**31:
-        raise ValueError(f"orientations x rolls x branches must be below 2^31, got {most:,}")
+        values = " x values of redundant joints" if arm.locked else ""
+        raise ValueError(f"orientations x rolls{values} x branches must be below 2^31, got {most:,}")
     wanted = [names] if isinstance(names, str | statistics.Custom) else names
-    plan = statistics.plan(arm, wanted, turns.count, free_rolls)
+    plan = statistics.plan(arm, wanted, turns.count, *trials)
     return statistics.certified(plan) if certify else plan
 
 

@@ -1,4 +1,5 @@
-"""Pictures: workspaces as slices, solids, discs and points, two of them compared, branches, the arm.
+"""Pictures: workspaces as slices, solids, discs and points, two of them compared; branches, self-motions, an
+arm.
 
 Needs matplotlib (`pip install ikjax[viz]`), which is imported for the first picture. A figure stays open for
 `plt.show()`; with a path it is saved and closed. All lengths are in metres, with the same scale on all axes.
@@ -8,6 +9,7 @@ from ikjax.plot.bars import histogram
 from ikjax.plot.contrast import Change, change, comparison
 from ikjax.plot.disc import globe
 from ikjax.plot.planes import Plane, Slice
+from ikjax.plot.redundant import self_motion
 from ikjax.plot.slices import reach_map
 from ikjax.plot.solid import isosurface, nested
 from ikjax.plot.stick import Sticks, arm, branches, sticks

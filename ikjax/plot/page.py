@@ -102,6 +102,7 @@ def repeat(reach: ReachMap, name: str) -> str:
     custom = [key for key, word in words.items() if word == key]
     given = "".join(f"{key} = ...  # the ikjax.maps.Measure of that name, as it was\n" for key in custom)
     certify = ", certify=True" if manifest.is_certified(reach.statistic_specs) else ""
+    samples = f", redundancy_samples={reach.redundancy_samples}" if reach.arm.locked else ""
     shell = shlex.quote(name)
     return f"""\
 # in Python: the same arm, positions and orientations ({which})
@@ -109,7 +110,7 @@ import ikjax, jax
 jax.config.update("jax_enable_x64", True)
 {given}old = ikjax.ReachMap.load({name!r})
 new = ikjax.sweep(old.arm, old.positions, old.orientations,
-                  free_rolls={reach.free_rolls}, dtype={reach.dtype!r}{certify},
+                  free_rolls={reach.free_rolls}{samples}, dtype={reach.dtype!r}{certify},
                   statistics=[{names}], out="again.zarr")
 assert all(new.to_numpy()[k].tobytes() == v.tobytes() for k, v in old.to_numpy().items())
 
@@ -123,7 +124,7 @@ def _in_python(key: str, spec: dict) -> str:
     if "near" in spec:
         position, rotation = spec["near"]
         return f"ikjax.maps.Near({position!r}, {rotation!r}, {key!r})"
-    return repr(key) if key in statistics.available() else key
+    return repr(key) if key in statistics.available(redundant=True) else key
 
 
 def _has_counts(reach: ReachMap) -> bool:

@@ -7,6 +7,7 @@ import numpy as np
 
 from ikjax.arm.arm import Arm
 from ikjax.core.pose import pose
+from ikjax.ik.redundancy import middles
 from ikjax.ik.select import within_limits
 from ikjax.ik.solve import solve
 from ikjax.plot.stick import sticks
@@ -86,11 +87,22 @@ def best_posture(arm: Arm, place, quality: Callable[[np.ndarray], float], frame=
     goals = np.array(pose(np.broadcast_to(place, tilt.shape), rpy=tilt, dtype=arm.dtype))
     if frame is not None:
         goals[..., :3, :3] = frame @ goals[..., :3, :3]
-    sol = solve(arm, goals)
+    # Several values of a redundant joint are more goals to choose from.
+    sol = solve(arm, goals[..., None, :, :], redundancy=redundant_values(arm) if arm.locked else None)
     inside = within_limits(arm, sol)
     valid = np.asarray(inside.valid)
     found = np.asarray(inside.q)[valid if valid.any() else np.asarray(sol.valid)]
     return max(found, key=quality) if len(found) else best_posture(arm, None, quality)
+
+
+def redundant_values(arm: Arm) -> np.ndarray:
+    """Some values of an arm's redundant joints, as `solve` takes them."""
+    values = np.asarray(middles(arm.baked(), VALUES, arm.dtype))
+    return values[:, 0] if len(arm.locked) == 1 else values
+
+
+VALUES = 8
+"""Of each redundant joint."""
 
 
 def _place_for_the_tool(reach, plane: Plane) -> np.ndarray | None:

@@ -100,25 +100,26 @@ def draw_flat(ax, body: Sticks, axes: tuple[int, int], bold: bool) -> None:
     ax.plot(*tool, "D", color=ACCENT, mec="white", ms=2.6 * width, zorder=6)
 
 
-def branches(arm: Arm, goal, path=None):
+def branches(arm: Arm, goal, path=None, *, redundancy=None):
     """Every branch of one goal, each as a small stick figure; branches that do not reach it are grey.
 
     Args:
         arm: An arm with a family.
         goal: T_world_tool, (4, 4). Its frame is drawn as red, green and blue for x, y and z.
         path: Where to save the picture.
+        redundancy: The values of the arm's redundant joints, if it has any.
 
     Returns:
         The figure.
 
     Raises:
         ImportError: Without matplotlib.
-        ValueError: An arm of no family, or more than one goal.
+        ValueError: An arm of no family, or more than one goal; see also `solve`.
     """
     plt = pyplot()
     if np.shape(goal) != (4, 4):
         raise ValueError(f"goal must have shape (4, 4), got {np.shape(goal)}")
-    sol = solve(arm, goal)
+    sol = solve(arm, goal, redundancy=redundancy)
     inside = np.asarray(within_limits(arm, sol).valid)
     bodies = [sticks(arm, q) for q in np.asarray(sol.q)]
     points = np.concatenate([body.line for body in bodies])

@@ -10,6 +10,7 @@ import time
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from ikjax.arm.arm import Arm
@@ -19,7 +20,7 @@ from ikjax.core.text import markdown
 from ikjax.ik.select import within_limits
 from ikjax.ik.solve import solve
 from ikjax.maps.sets.positions import Grid
-from ikjax.plot.planes import Plane, plane_of, posture, shown_axes, ticks_of
+from ikjax.plot.planes import Plane, plane_of, posture, redundant_values, shown_axes, ticks_of
 from ikjax.plot.stick import sticks_of
 from ikjax.plot.style import COLORS, MAP
 
@@ -40,13 +41,19 @@ class Skeleton(NamedTuple):
 
 @jax.jit
 def _branches(arm: Arm, goal):
-    sol = solve(arm, goal)
+    if arm.locked:
+        # At the value of the redundant joint that leaves the most branches.
+        sol = solve(arm, goal[None], redundancy=redundant_values(arm))
+        best = within_limits(arm, sol).valid.sum(-1) + sol.valid.sum(-1) / (1 + sol.valid.shape[-1])
+        sol = jax.tree.map(lambda x: x[jnp.argmax(best)], sol)
+    else:
+        sol = solve(arm, goal)
     inside = within_limits(arm, sol)
     return sol.valid, inside.valid, frames(arm, inside.q), fk(arm, inside.q)
 
 
 def skeletons(arm: Arm, goal) -> list[Skeleton]:
-    """Every valid branch of a goal T_world_tool, (4, 4)."""
+    """Every valid branch of a goal T_world_tool, (4, 4); where a joint is redundant, at one of its values."""
     valid, within, stations, tips = map(np.asarray, _branches(arm, goal))
     found = []
     for slot in np.flatnonzero(valid):

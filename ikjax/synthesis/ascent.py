@@ -18,7 +18,7 @@ import optax
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import reach
 from ikjax.ik.margins import limited_margins, smooth_max, smooth_min
-from ikjax.ik.solve import solve
+from ikjax.ik.redundancy import solve_at_samples
 from ikjax.synthesis.parameters import TWIST, Parameters, moved_by_twist, pose_inverse, pose_product
 
 Objective = Callable[[Arm, Any, Any], jax.Array]
@@ -40,6 +40,14 @@ class ConstantArm:
         return isinstance(other, ConstantArm) and self._key == other._key
 
 
+def starts_at_a_time(arm: Arm, most: int) -> int | None:
+    """How many starts are evaluated at a time: `most`, and one by one (None) with a redundant joint.
+
+    Its solver is a loop over values of that joint, which compiles for minutes when starts are a batch of it.
+    """
+    return None if arm.locked else max(1, most)
+
+
 @dataclasses.dataclass(frozen=True)
 class DesignPlan:
     """What is fixed while a design study runs; hashable, so that it may be static under jit."""
@@ -52,15 +60,18 @@ class DesignPlan:
     limits: bool
     goal_batch_size: int | None
     """Rows of goals drawn for each step; None for all."""
-    start_batch_size: int
-    """Starts evaluated at a time."""
+    start_batch_size: int | None
+    """See `starts_at_a_time`."""
+    samples: int
+    """Values of each redundant joint."""
 
     def arm_at(self, z: jax.Array) -> Arm:
         return self.parameters.put(self.constant.arm, self.parameters.values(z))
 
     def score(self, z: jax.Array, goals: jax.Array, blur) -> jax.Array:
         arm = self.arm_at(z)
-        sol = solve(*self.parameters.arm_and_goals(self.constant.arm, goals, self.parameters.values(z)))
+        moved = self.parameters.arm_and_goals(self.constant.arm, goals, self.parameters.values(z))
+        sol = solve_at_samples(*moved, self.samples)
         sol = limited_margins(arm, sol) if self.limits else sol
         return jnp.mean(self.objective(arm, sol, blur))
 
@@ -160,8 +171,10 @@ class PlacementPlan:
     free_coordinates: tuple[str, ...]
     """Which coordinates of a placement move; see `synthesis.search_space`."""
     limits: bool
-    start_batch_size: int
-    """Placements evaluated at a time."""
+    start_batch_size: int | None
+    """Placements evaluated at a time; see `starts_at_a_time`."""
+    samples: int
+    """Values of each redundant joint."""
 
     def moved_base(self, base: jax.Array, values: jax.Array) -> jax.Array:
         """The base's pose as `SearchSpace.base_poses` has it: turned about z, then tilted and shifted."""
@@ -177,7 +190,7 @@ class PlacementPlan:
         # The base is fixed and the goals move instead: more of the arm is then constant in the kernel.
         base = jnp.asarray(arm.base, values.dtype)
         back = pose_product(base, pose_inverse(self.moved_base(base, values)))
-        sol = solve(arm, pose_product(back, goals))
+        sol = solve_at_samples(arm, pose_product(back, goals), self.samples)
         sol = limited_margins(arm, sol) if self.limits else sol
         best = smooth_max(sol.margin, blur)
         # Where all goals are reached the share is constant; the worst margin still has a gradient.

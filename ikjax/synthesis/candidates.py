@@ -19,6 +19,7 @@ from ikjax.arm.forward import reach
 from ikjax.core.pose import Pose, clean
 from ikjax.core.xla import divider, pinning, wide_vectors
 from ikjax.ik.inline import is_small
+from ikjax.ik.redundancy import middles
 from ikjax.maps.kernel.sample import Goal
 from ikjax.maps.reach_map import ReachMap
 from ikjax.maps.sets.hopf import Hopf
@@ -39,7 +40,9 @@ LOOK_UP = 2**20
 """Numbers of a map that are looked up at a time."""
 
 
-def count_reached(arm: Arm, goals: np.ndarray, points: np.ndarray, turns: np.ndarray, limits: bool):
+def count_reached(
+    arm: Arm, goals: np.ndarray, points: np.ndarray, turns: np.ndarray, limits: bool, samples: int
+):
     """How many goals each base reaches, and the worst margin.
 
     Args:
@@ -48,13 +51,14 @@ def count_reached(arm: Arm, goals: np.ndarray, points: np.ndarray, turns: np.nda
         points: (c, 3) positions of bases [m].
         turns: (t,) about z [rad].
         limits: Whether the joint limits count.
+        samples: Values of each redundant joint.
 
     Returns:
         Goals reached (c, t), int; the worst goal's margin [m], limits ignored, (c, t).
     """
     lowest, highest = WIDTHS
     width = int(np.clip(2 ** np.ceil(np.log2(len(goals))), lowest, highest))
-    count = _counting_program(ConstantArm(arm), limits, width)
+    count = _counting_program(ConstantArm(arm), limits, width, samples)
     numbers = np.zeros((len(points), len(turns)), np.int64)
     worst = np.full(numbers.shape, np.inf)
     home = np.asarray(arm.base, float)[:3, 3]
@@ -81,9 +85,10 @@ def count_reached(arm: Arm, goals: np.ndarray, points: np.ndarray, turns: np.nda
 
 
 @functools.lru_cache(16)
-def _counting_program(constant: ConstantArm, limits: bool, width: int):
+def _counting_program(constant: ConstantArm, limits: bool, width: int, samples: int):
     """The compiled loop over blocks of `width` goals and as many bases as make up a block."""
     arm, depth = constant.arm, BLOCK // width
+    redundancy = np.asarray(middles(arm, samples, arm.dtype)) if arm.locked else None
 
     def count(table, goal_count, bases, blocks):
         is_goal = (jnp.arange(width, dtype=jnp.int32) < goal_count)[None]
@@ -97,12 +102,18 @@ def _counting_program(constant: ConstantArm, limits: bool, width: int):
             )
             spread = tuple(tuple(jnp.broadcast_to(x, shape) for x in row) for row in rotation)
             goal, proper = clean(Pose(spread, position), reach(arm))
-            with pinning(None if is_small(arm) else divider(position[0])):
-                slots = solve_scalars(arm, goal)
-            flags = Goal(arm, slots, divider(position[0]), shape, {}).flags(limits)
-            hit = functools.reduce(jnp.logical_or, flags) & proper & is_goal
-            margin = functools.reduce(jnp.maximum, [slot.margin for slot in slots])
-            part = jnp.sum(hit, axis=1, dtype=jnp.int32), jnp.min(jnp.broadcast_to(margin, shape), axis=1)
+
+            def at_values(*free):
+                with pinning(None if is_small(arm) else divider(position[0])):
+                    slots = solve_scalars(arm, goal, free=free)
+                flags = Goal(arm, slots, divider(position[0]), shape, {}).flags(limits)
+                hit = functools.reduce(jnp.logical_or, flags)
+                margin = functools.reduce(jnp.maximum, [slot.margin for slot in slots])
+                return hit, jnp.broadcast_to(margin, shape)
+
+            hit, margin = at_values() if redundancy is None else _best_value(at_values, redundancy, shape)
+            hit = hit & proper & is_goal
+            part = jnp.sum(hit, axis=1, dtype=jnp.int32), jnp.min(margin, axis=1)
             return tuple(
                 jax.lax.dynamic_update_slice_in_dim(total, new, b * depth, 0)
                 for total, new in zip(totals, part, strict=True)
@@ -112,6 +123,19 @@ def _counting_program(constant: ConstantArm, limits: bool, width: int):
         return jax.lax.fori_loop(0, blocks, block, start)
 
     return jax.jit(count, compiler_options=wide_vectors())
+
+
+def _best_value(at_values, redundancy: np.ndarray, shape: tuple[int, ...]):
+    """Whether some row of values (m, k) reaches each goal, and the greatest margin of all rows."""
+    table = jnp.asarray(redundancy)
+
+    def value(m, best):
+        hit, margin = at_values(*(table[m, j] for j in range(table.shape[1])))
+        return best[0] | hit, jnp.maximum(best[1], margin)
+
+    return jax.lax.fori_loop(
+        0, len(table), value, (jnp.zeros(shape, bool), jnp.full(shape, -jnp.inf, table.dtype))
+    )
 
 
 def look_up_shares(

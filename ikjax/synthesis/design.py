@@ -18,8 +18,9 @@ from ikjax.arm.arm import Arm
 from ikjax.arm.forward import reach
 from ikjax.core.tolerances import CONSTRAINT_MET
 from ikjax.ik.check import check_goals
+from ikjax.ik.redundancy import checked_samples, solve_at_samples
 from ikjax.ik.select import within_limits
-from ikjax.ik.solve import as_goals, check_family, check_not_redundant, solve
+from ikjax.ik.solve import as_goals, check_family
 from ikjax.synthesis import ascent
 from ikjax.synthesis.ascent import Constraint, Objective
 from ikjax.synthesis.objectives import NAMED
@@ -92,6 +93,9 @@ CHUNK = 25
 BATCH_SIZE = 4096
 """Goals, over all starts, that are evaluated at a time."""
 
+SAMPLES = 16
+"""Values of each redundant joint by default."""
+
 PENALTY = 10.0
 """Weight of a constraint's square at first; it doubles with every chunk, up to a thousandfold."""
 
@@ -117,6 +121,7 @@ def design(
     limits: bool = True,
     batch: int | None = None,
     local_search: int = 0,
+    redundancy_samples: int | None = None,
     seed: int = 0,
     progress: Callable[[int, np.ndarray], Any] | None = None,
 ) -> DesignResult:
@@ -144,6 +149,9 @@ def design(
         local_search: Number of arms near the best, in whole rounds of twice `starts`, that are evaluated by
             the exact score at the end; the best of them is taken. A share of goals has steps where its
             gradient is zero, and gradient ascent only approaches a bound.
+        redundancy_samples: Of an arm with redundant joints: so many values of each are tried, 16 by default,
+            the middles of equal parts of its range; the branches at all of them are those of a goal. `sol`
+            then has them as its slots, those of the first value first.
         seed: Of the random starts and of the drawn goals.
         progress: Called with the steps done and the scores (starts,) after every chunk.
 
@@ -156,7 +164,7 @@ def design(
             comparison, for example).
     """
     check_family(arm)
-    check_not_redundant(arm, "design")
+    samples = checked_samples(arm, redundancy_samples, SAMPLES)
     goals = as_goals(goals)
     goals = goals[None] if goals.ndim == 2 else goals
     arm, is_pose = arm.astype(goals.dtype), _rows_of_poses(arm, goals)
@@ -181,7 +189,8 @@ def design(
         _default_optimizer(steps) if optimizer is None else optimizer,
         limits,
         batch,
-        max(1, BATCH_SIZE // ((batch or len(goals)) * int(np.prod(goals.shape[1:-2])))),
+        ascent.starts_at_a_time(arm, BATCH_SIZE // ((batch or len(goals)) * int(np.prod(goals.shape[1:-2])))),
+        samples,
     )
     first = parameters.coordinates(parameters.of(arm))
     rest = parameters.random(np.random.default_rng(seed), starts - 1)
@@ -193,25 +202,25 @@ def design(
         count = min(CHUNK, steps - at)
         keys = jax.random.split(jax.random.fold_in(jax.random.key(seed), at), count)
         penalty = min(PENALTY * 2.0 ** (at // CHUNK), 1000 * PENALTY)
-        numbers = (jnp.asarray(blurs[at : at + count], z.dtype), jnp.asarray(penalty, z.dtype))
-        state, score = ascent.take_steps(plan, state, goals, keys, *numbers)
+        weights = (jnp.asarray(blurs[at : at + count], z.dtype), jnp.asarray(penalty, z.dtype))
+        state, score = ascent.take_steps(plan, state, goals, keys, *weights)
         scores.append(np.asarray(score))
         if progress is not None:
             progress(at + count, scores[-1][-1])
     candidates = np.concatenate([z, state.z])
     evaluate = functools.partial(ascent.evaluate_exactly, plan, goals=goals)
-    values, exact, violations = (np.asarray(x) for x in evaluate(jnp.asarray(candidates, z.dtype)))
+    numbers, exact, violations = (np.asarray(x) for x in evaluate(jnp.asarray(candidates, z.dtype)))
     if np.isnan(exact).all():
         raise ValueError(
             "objective must give a number for some arm, got nan for the given one and all starts"
         )
     i = _best_index(exact, violations, np.arange(len(exact)) < starts)
-    best = values[i], exact[i], violations[i]
+    best = numbers[i], exact[i], violations[i]
     if local_search:
         best = _search_locally(evaluate, candidates[i], best, local_search, seed, len(candidates))
     number, score, violation = best
     made = parameters.put(arm, jnp.asarray(number, goals.dtype))
-    sol = solve(made, goals)
+    sol = solve_at_samples(made, goals, samples)
     sol = within_limits(made, sol) if limits else sol
     return DesignResult(
         arm=made,
@@ -222,7 +231,7 @@ def design(
         reached=np.asarray(sol.valid.any(-1)),
         margin=np.asarray(sol.margin.max(-1)),
         scores=exact[starts:],
-        numbers=values[starts:],
+        numbers=numbers[starts:],
         history=np.concatenate(scores) if scores else np.zeros((0, starts)),
         violation=float(violation),
         left_out=np.flatnonzero(~is_pose),

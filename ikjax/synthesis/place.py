@@ -15,12 +15,13 @@ from ikjax.arm.arm import Arm
 from ikjax.arm.forward import reach
 from ikjax.ik.check import check_goals
 from ikjax.ik.margins import limited_margins
-from ikjax.ik.solve import as_goals, check_family, check_not_redundant, solve
+from ikjax.ik.redundancy import checked_samples, solve_at_samples
+from ikjax.ik.solve import as_goals, check_family
 from ikjax.maps.reach_map import ReachMap
 from ikjax.maps.sets.positions import Grid
 from ikjax.solvers.pipeline import as_solved
 from ikjax.synthesis import candidates
-from ikjax.synthesis.ascent import ConstantArm, PlacementPlan, polish_placements
+from ikjax.synthesis.ascent import ConstantArm, PlacementPlan, polish_placements, starts_at_a_time
 from ikjax.synthesis.parameters import TWIST
 from ikjax.synthesis.search_space import SearchSpace, search_space
 
@@ -94,6 +95,9 @@ class Placements:
 BATCH_SIZE = 4096
 """Goals, over all starts, that are evaluated at a time."""
 
+SAMPLES = 16
+"""Values of each redundant joint by default."""
+
 BLUR = (0.05, 0.002)
 """Of the margins in the smooth score, at first and at the end, in reaches."""
 
@@ -117,6 +121,7 @@ def place(
     limits: bool = True,
     starts: int = 16,
     steps: int = 60,
+    redundancy_samples: int | None = None,
 ) -> Placements:
     """Where to put the base of an arm so that it reaches the most goals, with the most to spare.
 
@@ -140,6 +145,8 @@ def place(
         limits: Whether the joint limits count.
         starts: How many of the best candidates, distinct in the same way, are evaluated exactly and polished.
         steps: Steps of each start; 0 leaves it on the grid. They never make a base worse.
+        redundancy_samples: Of an arm with redundant joints: so many values of each are tried, 16 by default,
+            the middles of equal parts of its range. A goal counts as reached if one of them reaches it.
 
     Returns:
         `Placements`, the best first. Their text says so if none reaches any goal.
@@ -149,7 +156,7 @@ def place(
             order, numbers out of range; a map of another arm or without the counts that are needed.
     """
     check_family(arm)
-    check_not_redundant(arm, "place")
+    samples = checked_samples(arm, redundancy_samples, SAMPLES)
     given = as_goals(goals)
     check_goals(arm, given)
     flat = np.asarray(given).reshape(-1, 4, 4)
@@ -164,7 +171,7 @@ def place(
     space = search_space(arm, flat[:, :3, 3].astype(float), size, move, bounds or {}, spacing, turns, limits)
     points = space.grid.points().reshape(-1, 3)
     if reach_map is None:
-        count, spare = candidates.count_reached(arm, flat, points, space.turns, limits)
+        count, spare = candidates.count_reached(arm, flat, points, space.turns, limits, samples)
         tried = count / len(flat)
     else:
         tried = candidates.look_up_shares(reach_map, arm, flat, points, space.turns, limits)
@@ -172,13 +179,16 @@ def place(
     order = np.lexsort((-spare.reshape(-1), -tried.reshape(-1)))
     first = space.candidates()[order]
     first = first[space.distinct(first, starts)]
-    polished, count, worst = _polished(arm, flat, space, first, size, limits, steps)
+    polished, count, worst = _polished(arm, flat, space, first, size, limits, steps, samples)
     ranked = np.lexsort((-worst, -count))
     ranked = ranked[space.distinct(polished[ranked], keep)]
     # The returned matrices themselves are evaluated: they are rounded, and polishing moved the goals instead
     # of the base.
     ends, begins = (
-        [_evaluate_base(arm, base.astype(given.dtype), flat, limits) for base in space.base_poses(x[ranked])]
+        [
+            _evaluate_base(arm, b.astype(given.dtype), flat, limits, samples)
+            for b in space.base_poses(x[ranked])
+        ]
         for x in (polished, first)
     )
     pairs = [(max(pair, key=_Evaluation.rank), pair[1]) for pair in zip(ends, begins, strict=True)]
@@ -220,22 +230,29 @@ class _Evaluation(NamedTuple):
         return int(self.reached.sum()), self.worst
 
 
-def _evaluate_base(arm: Arm, base: np.ndarray, goals: np.ndarray, limits: bool) -> _Evaluation:
+def _evaluate_base(arm: Arm, base: np.ndarray, goals: np.ndarray, limits: bool, samples: int) -> _Evaluation:
     moved = dataclasses.replace(arm, base=base)
-    sol = solve(moved, goals)
+    sol = solve_at_samples(moved, jnp.asarray(goals), samples)
     sol = limited_margins(moved, sol) if limits else sol
     return _Evaluation(base, np.asarray(sol.valid.any(-1)), float(sol.margin.max(-1).min()))
 
 
 def _polished(
-    arm: Arm, goals: np.ndarray, space: SearchSpace, first: np.ndarray, size: float, limits: bool, steps: int
+    arm: Arm,
+    goals: np.ndarray,
+    space: SearchSpace,
+    first: np.ndarray,
+    size: float,
+    limits: bool,
+    steps: int,
+    samples: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The best placements on the way from each of `first`, the goals they reach, their worst margins."""
     columns = [TWIST.index(name) for name in space.free_coordinates]
     home = np.concatenate([space.home[:3, 3], np.zeros(3)])
     lower, upper = space.bounds()
-    start_batch_size = max(1, BATCH_SIZE // len(goals))
-    plan = PlacementPlan(ConstantArm(arm), space.free_coordinates, limits, start_batch_size)
+    start_batch_size = starts_at_a_time(arm, BATCH_SIZE // len(goals))
+    plan = PlacementPlan(ConstantArm(arm), space.free_coordinates, limits, start_batch_size, samples)
     phase = np.linspace(0, np.pi, steps + 1)
     numbers = [
         (first - home)[:, columns],

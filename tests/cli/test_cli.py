@@ -130,6 +130,11 @@ def test_both_precisions_agree(run):
         (["sweep", "nowhere.toml", "--spacing", "1"], "--spacing is for nowhere.toml to say"),
         (["sweep", "nowhere.toml", "--certify"], "--certify is for nowhere.toml to say"),
         (
+            ["sweep", "nowhere.toml", "--redundancy-samples", "8"],
+            "--redundancy-samples is for nowhere.toml to say",
+        ),
+        (["sweep", "ur5", "--redundancy-samples", "8"], "is for arms with redundant joints, ur5 has none"),
+        (
             ["sweep", "gx4_351s", "--certify", "--float64"],
             "--certify is for float32 sweeps; --float64 needs none",
         ),
@@ -225,6 +230,22 @@ def test_without_matplotlib_a_map_still_has_its_summary(run, swept, tmp_path, mo
     code, out, err = run("show", swept[0])
     assert code == 0 and out.startswith("gx4_351s: ") and "pip install ikjax[viz]" in err
     assert run("show", swept[0], "--page", "b.html")[0] == 2
+
+
+@pytest.mark.slow
+def test_an_arm_of_seven_joints_is_swept_and_drawn(run, tmp_path):
+    pytest.importorskip("matplotlib")
+    pytest.importorskip("tensorstore")
+    out, picture = tmp_path / "map.zarr", tmp_path / "map.png"
+    words = ["sweep", "fer", "--spacing", "0.5", "--orientations", "8", "--redundancy-samples", "4"]
+    code, text, err = run(*words, "--out", out, "--picture", picture)
+    assert code == 0, err
+    assert "x 8 orientations, 4 values of joint7" in text and picture.stat().st_size > 10_000
+    code, _, err = run(*words[:-1], "5", "--out", out, "--resume")
+    assert code == 2 and "redundancy_samples: 4 there, 5 here" in err
+    code, text, err = run("show", out, "--page", tmp_path / "map.html")
+    assert code == 0, err
+    assert "free_rolls=1, redundancy_samples=4" in (tmp_path / "map.html").read_text()
 
 
 def test_doctor_finds_this_device_well(run):

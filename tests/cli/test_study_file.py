@@ -22,7 +22,7 @@ def read(tmp_path):
 def test_a_short_study_takes_the_defaults(read):
     study = read(SHORT)
     assert study.arm.name == "ur5" and study.positions == ikjax.maps.around(study.arm, 0.5)
-    assert study[2:] == (8, 1, STATISTICS, None, "float32", False)
+    assert study[2:] == (8, 1, STATISTICS, None, "float32", False, None)
 
 
 def test_a_study_can_say_everything(read, tmp_path):
@@ -50,6 +50,9 @@ def test_a_study_can_say_everything(read, tmp_path):
     )
     assert np.isinf(read(SHORT + "limits = false").arm.limits).all()
     assert read(SHORT + "certify = true").certify
+    seven = 'arm = "fer"\nspacing = 0.5\norientations = 8\nredundancy_samples = 16\n'
+    study = read(seven + 'statistics = ["reachable", "widest_interval_within"]')
+    assert study.redundancy_samples == 16 and study.statistics[1] == "widest_interval_within"
 
 
 def test_a_study_names_shells_surfaces_cones_and_grids_of_rotations(read, tmp_path):
@@ -113,6 +116,8 @@ def test_a_study_names_the_ends_of_a_files_arm(read, tmp_path):
         ('arm = "ur5"\norientations = 8', "one of spacing, shell and surface is wanted, got none"),
         (SHORT + "surface = {}", "one of spacing, shell and surface is wanted, got spacing, surface"),
         (SHORT + "free_rolls = 1.5", "free_rolls must be a whole number"),
+        (SHORT + "redundancy_samples = 0", "redundancy_samples must be a whole number above zero, got 0"),
+        (SHORT + 'statistics = ["widest_interval"]', "statistics must be a list of reachable, "),
         ('arm = "ur5"\norientations = 8\nsurface = { file = 3 }', "surface.file is of the wrong kind"),
         ('arm = "ur5"\norientations = 8\nshell = { radii = [1] }', "shell must have the keys center, radii"),
         ('arm = "ur5"\nspacing = 1\norientations = { hopf = 10 }', "level must be a whole number"),

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import ikjax
+from ikjax.ik import redundancy
 
 DTYPES = {"float32": 2e-5, "float64": 1e-9}
 
@@ -196,15 +197,6 @@ def test_a_wrong_redundancy_is_named(name, shape, redundancy, text):
         ikjax.solve(build(name), np.zeros((*shape, 4, 4)), redundancy=redundancy)
 
 
-def test_what_takes_no_redundant_arms_says_so():
-    arm = build("fer")
-    with pytest.raises(ValueError, match="sweep takes no redundant arms yet, and fer leaves joint7 free"):
-        ikjax.sweep(arm, ikjax.maps.grid((0, 0, 0), (1, 1, 1), 0.5), 10)
-    for call in (ikjax.place, lambda arm, goals: ikjax.design(arm, goals, {"d3": (0.3, 0.4)})):
-        with pytest.raises(ValueError, match="takes no redundant arms yet"):
-            call(arm, np.eye(4))
-
-
 # Gradients.
 
 
@@ -318,6 +310,21 @@ def test_singular_goals_are_answered_with_finite_derivatives(name):
     _, rate, valid = jax.jvp(answer, (given,), (np.ones(len(q)),), has_aux=True)
     assert np.asarray(valid).any(-1).all()
     assert np.isfinite(rate).all()
+
+
+def test_values_are_spread_over_limits_or_a_turn_or_two_reaches():
+    middles = redundancy.middles(build("fer").baked(), 4, np.float32)
+    assert middles.shape == (4, 1) and middles.dtype == np.float32
+    np.testing.assert_allclose(middles[:, 0], 2.8973 * np.array([-0.75, -0.25, 0.25, 0.75]), rtol=1e-6)
+    # Joint 7 of the xArm may turn twice round, joint 1 of the Gen3 without an end: one turn is enough.
+    for name in ("xarm7", "gen3"):
+        values = redundancy.with_ends(build(name).baked(), 5, np.float64)
+        np.testing.assert_allclose(values, np.linspace(-np.pi, np.pi, 5))
+    arm = dataclasses.replace(build("rail"), limits=np.array([[1, np.inf], *build("rail").limits[1:]]))
+    low, high = redundancy.redundant_range(arm.baked(), 0, np.float64)
+    assert low == 1 and high - low == pytest.approx(2 * ikjax.arm.forward.reach(arm.baked()))
+    both = redundancy.middles(build("turntable").baked(), 3, np.float64)
+    assert both.shape == (9, 2) and len(np.unique(both[:, 0])) == len(np.unique(both[:, 1])) == 3
 
 
 def test_a_path_is_followed_by_seven_joints():

@@ -191,3 +191,34 @@ def test_a_page_needs_nothing_else_and_escapes_what_comes_out_of_a_map(reach):
     assert "<script" not in text and "<b>" not in text
     assert "http" not in text and text.count("data:image/png;base64,") == 5
     assert "ikjax.sweep(old.arm" in text and "positions that differ" in text
+
+
+def test_a_self_motion_is_drawn_with_its_parts(tmp_path):
+    from ikjax.ik.self_motion import SelfMotion
+
+    arm, samples = ikjax.robots.fer(), np.linspace(-2, 2, 9)
+    q = np.zeros((8, 9, 7))
+    q[..., 0] = (samples * 3 + np.pi) % (2 * np.pi) - np.pi
+    valid = np.abs(samples) < 1.6
+    within = valid & (samples > 0)
+    parts = np.zeros((8, 4, 2))
+    parts[:, 0] = 0.2, 1.4
+    curve = SelfMotion(
+        samples,
+        q,
+        np.broadcast_to(valid, (8, 9)),
+        np.broadcast_to(within, (8, 9)),
+        np.zeros((8, 9)),
+        parts,
+        np.broadcast_to(np.arange(4) == 0, (8, 4)),
+    )
+    figure = plot.self_motion(arm, curve)
+    first, bars = figure.axes[0], figure.axes[6]
+    assert len(bars.patches) == 8 and "within the limits" in bars.get_title()
+    # No line crosses the jump from pi to -pi.
+    assert all(np.abs(np.diff(line.get_ydata())).max(initial=0) < np.pi for line in first.lines[:-2])
+    assert {line.get_linewidth() for line in first.lines[:-2]} == {0.8, 0.9, 3.0}
+    plot.self_motion(arm, curve, tmp_path / "curve.png")
+    assert (tmp_path / "curve.png").stat().st_size > 10_000
+    with pytest.raises(ValueError, match="of one goal of an arm with one redundant joint"):
+        plot.self_motion(ikjax.robots.puma560(), curve)

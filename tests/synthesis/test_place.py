@@ -238,6 +238,6 @@ def test_a_whole_turn_more_is_the_same_place_whatever_the_tilt():
     np.testing.assert_allclose(one, other, atol=1e-14)
     assert list(space.distinct(places, 2)) == [0]
     # As polishing has it.
-    plan = PlacementPlan(ConstantArm(ARM), ("x", "rx", "ry", "rz"), True, 1)
+    plan = PlacementPlan(ConstantArm(ARM), ("x", "rx", "ry", "rz"), True, 1, 1)
     polished = plan.moved_base(jnp.asarray(ARM.base), jnp.array([0.1, 0.4, -0.2, 3.0 + 2 * np.pi]))
     np.testing.assert_allclose(polished, one, atol=1e-14)

@@ -1,11 +1,15 @@
 """The accumulators of a sweep's loop: numbers of goals are reduced by bits, whole-number sums, or extremes.
 
+A trial is one roll of a goal at one value of the redundant joint. The numbers of its trials are combined
+first.
+
 All of these reductions are exact, so the result has the same bits in any order. A sum of whole numbers is
 stored as two halves of 16 bits each, because there are no 64-bit integers where x64 is off.
 """
 
+import functools
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -36,7 +40,8 @@ class Accumulator(NamedTuple):
 
     def number_type(self, dtype: np.dtype) -> np.dtype:
         """Type of its numbers, where the kernel's floating type is `dtype`."""
-        return np.dtype({"count": np.int32, "sum": np.int32, "bits": np.uint32}.get(self.reduce, dtype))
+        whole = {"count": np.int32, "sum": np.int32, "bits": np.uint32, "run": np.int32}
+        return np.dtype(whole.get(self.reduce, dtype))
 
 
 class Pass(NamedTuple):
@@ -51,7 +56,7 @@ class Pass(NamedTuple):
     """Name of the channel that marks the goals left out of additive channels; None if none is left out."""
 
 
-def passes_for(channels: dict[str, Channel], rolls: int, small: bool, certify: bool = False) -> list[Pass]:
+def passes_for(channels: dict[str, Channel], trials: int, small: bool, certify: bool = False) -> list[Pass]:
     """The passes over all goals that channels need.
 
     Channels that look at flags share one pass, channels that need joints another. Of a small kernel, each
@@ -59,7 +64,7 @@ def passes_for(channels: dict[str, Channel], rolls: int, small: bool, certify: b
 
     Args:
         channels: By name.
-        rolls: Rolls of each goal, at least 1.
+        trials: Of each goal, at least 1.
         small: The arm's kernel can be one fused loop (`ik.inline.is_small`).
         certify: Leave doubtful goals out of additive channels, and mark them in a channel of bits.
     """
@@ -67,7 +72,7 @@ def passes_for(channels: dict[str, Channel], rolls: int, small: bool, certify: b
     for name, channel in channels.items():
         if channel.pinned or not small:
             joint_channels[name] = channel
-        elif channel.reduce in ("count", "bits"):
+        elif channel.reduce in ("count", "bits", "run"):
             flag_channels[name] = channel
         else:
             alone.append(Pass((Accumulator((name,), (channel,), ()),), pinned=False, packs_flags=False))
@@ -77,24 +82,24 @@ def passes_for(channels: dict[str, Channel], rolls: int, small: bool, certify: b
         if certify and any(channel.is_additive for channel in members.values()):
             doubt_name = f"{DOUBT}.{len(passes)}"
             members = members | {doubt_name: Channel("bits", Goal.doubt)}
-        accumulators = tuple(accumulators_for(members, rolls))
+        accumulators = tuple(accumulators_for(members, trials))
         # One accumulator alone is cheaper without the packed number.
         packs_flags = not pinned and len(accumulators) > 1
         passes += [Pass(accumulators, pinned, packs_flags, doubt_name)] if accumulators else []
     return passes + alone
 
 
-def accumulators_for(channels: dict[str, Channel], rolls: int) -> list[Accumulator]:
+def accumulators_for(channels: dict[str, Channel], trials: int) -> list[Accumulator]:
     """Channels packed into accumulators: counts side by side while their bits fit one word.
 
-    The width of a count is that of the greatest sum over `GOALS_PER_WORD` goals with all their rolls.
+    The width of a count is that of the greatest sum over `GOALS_PER_WORD` goals with all their trials.
     """
     accumulators: list[Accumulator] = []
     for name, channel in channels.items():
         if channel.reduce != "count":
             accumulators.append(Accumulator((name,), (channel,), ()))
             continue
-        greatest = channel.max_per_goal if channel.any_roll else channel.max_per_goal * rolls
+        greatest = channel.max_per_goal if channel.any_trial else channel.max_per_goal * trials
         width = (GOALS_PER_WORD * greatest).bit_length()
         last = accumulators[-1] if accumulators else None
         if last is not None and last.reduce == "count" and sum(last.widths) + width <= COUNT_BITS:
@@ -107,7 +112,7 @@ def accumulators_for(channels: dict[str, Channel], rolls: int) -> list[Accumulat
 
 
 def value_per_goal(accumulator: Accumulator, goal: Goal, dtype: np.dtype) -> jax.Array:
-    """The accumulator's number of each goal at one roll, (positions, orientations)."""
+    """The accumulator's number of each goal at one trial, (positions, orientations)."""
     if accumulator.reduce != "count":
         value = jnp.broadcast_to(accumulator.channels[0].value(goal), goal.shape)
         return value.astype(accumulator.number_type(dtype))
@@ -117,8 +122,32 @@ def value_per_goal(accumulator: Accumulator, goal: Goal, dtype: np.dtype) -> jax
     return packed
 
 
-def combine_rolls(accumulator: Accumulator, total: jax.Array, value: jax.Array) -> jax.Array:
-    """The number of each goal over earlier rolls, `total`, with that at one more roll, `value`."""
+def before_trials(accumulator: Accumulator, shape: tuple[int, ...], dtype: np.dtype) -> Any:
+    """What `add_trial` begins with: of "run" the longest run so far, and the present run of each flag."""
+    start = neutral_values(accumulator, shape, dtype)
+    return (start,) * (1 + accumulator.channels[0].max_per_goal) if accumulator.reduce == "run" else start
+
+
+def after_trials(accumulator: Accumulator, total: Any) -> jax.Array:
+    """The number of each goal over all trials, of what `add_trial` returned last."""
+    return total[0] if accumulator.reduce == "run" else total
+
+
+def add_trial(accumulator: Accumulator, total: Any, value: jax.Array, is_first: jax.Array) -> Any:
+    """What is known of each goal after earlier trials, `total`, and its number at one more, `value`.
+
+    Args:
+        accumulator: Says which reduction.
+        total: From `before_trials` or from this function.
+        value: From `value_per_goal`.
+        is_first: A run cannot go on here, because the redundant joint is at its least value.
+    """
+    if accumulator.reduce == "run":
+        longest, *present = total
+        # A run that began before is cut by a factor: a choice would be computed for each flag again.
+        going_on = jnp.where(is_first, 0, 1)
+        present = [(run * going_on + 1) * (value >> k & 1) for k, run in enumerate(present)]
+        return functools.reduce(jnp.maximum, present, longest), *present
     if accumulator.reduce in ("max", "min"):
         return (jnp.maximum if accumulator.reduce == "max" else jnp.minimum)(total, value)
     if accumulator.reduce == "bits":
@@ -128,7 +157,7 @@ def combine_rolls(accumulator: Accumulator, total: jax.Array, value: jax.Array) 
     # Of packed counts, some fields are added and the others joined by "or".
     added_fields, shift = 0, 0
     for channel, width in zip(accumulator.channels, accumulator.widths, strict=True):
-        added_fields |= 0 if channel.any_roll else ((1 << width) - 1) << shift
+        added_fields |= 0 if channel.any_trial else ((1 << width) - 1) << shift
         shift += width
     added = jnp.int32(added_fields)
     return ((total & added) + (value & added)) | ((total | value) & ~added)
@@ -156,13 +185,13 @@ def reduce_tile(accumulator: Accumulator, value: jax.Array, real: jax.Array | No
         real: Which orientations exist, bool (1, orientations); None where all of them do.
 
     Returns:
-        (positions, k): one column for "max" and "min", the upper and lower 16 bits of "sum", one column for
-        each channel of "count", one word for every 32 orientations of "bits".
+        (positions, k): one column for "max", "min" and "run", the upper and lower 16 bits of "sum", one
+        column for each channel of "count", one word for every 32 orientations of "bits".
     """
     if real is not None:
         value = jnp.where(real, value, neutral_values(accumulator, (), value.dtype))
-    if accumulator.reduce in ("max", "min"):
-        return (value.max(-1) if accumulator.reduce == "max" else value.min(-1))[:, None]
+    if accumulator.reduce in ("max", "min", "run"):
+        return (value.min(-1) if accumulator.reduce == "min" else value.max(-1))[:, None]
     words = value.reshape(value.shape[0], -1, GOALS_PER_WORD)
     if accumulator.reduce == "bits":
         bit = jnp.arange(GOALS_PER_WORD, dtype=jnp.uint32).reshape(1, 1, GOALS_PER_WORD)
@@ -180,7 +209,7 @@ def reduce_tile(accumulator: Accumulator, value: jax.Array, real: jax.Array | No
 
 def empty_results(accumulator: Accumulator, rows: int, orientations: int, dtype: np.dtype) -> jax.Array:
     """Results before the first goal, (rows, k) with the columns of `reduce_tile`."""
-    columns = {"max": 1, "min": 1, "sum": 2, "bits": orientations // GOALS_PER_WORD}
+    columns = {"max": 1, "min": 1, "run": 1, "sum": 2, "bits": orientations // GOALS_PER_WORD}
     shape = rows, columns.get(accumulator.reduce, len(accumulator.channels))
     return neutral_values(accumulator, shape, dtype)
 
@@ -200,7 +229,7 @@ def add_tile(accumulator: Accumulator, total: jax.Array, part: jax.Array, tile) 
         part: From `reduce_tile`.
         tile: Number of that tile: where its bits go.
     """
-    if accumulator.reduce == "max":
+    if accumulator.reduce in ("max", "run"):
         return jnp.maximum(total, part)
     if accumulator.reduce == "min":
         return jnp.minimum(total, part)
@@ -213,6 +242,7 @@ JOIN_CALLS: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
     "count": np.add,
     "sum": np.add,
     "max": np.maximum,
+    "run": np.maximum,
     "min": np.minimum,
     "bits": lambda a, b: np.concatenate([a, b], axis=1),
 }

@@ -15,7 +15,7 @@ from ikjax.core import vector
 from ikjax.core.pose import Pose
 from ikjax.core.xla import wide_vectors
 from ikjax.maps.kernel.accumulators import Pass, accumulators_for
-from ikjax.maps.kernel.loop import each_goal, rows_of
+from ikjax.maps.kernel.loop import each_goal, rows_of, trials_of
 from ikjax.maps.kernel.sample import GOALS_PER_WORD, Channel
 from ikjax.maps.sets.protocol import OrientationSet, PositionSet, Tables
 from ikjax.maps.sets.surface import Surface
@@ -48,14 +48,15 @@ def certifying_program(study: manifest.Study, channels: dict[str, Channel]) -> C
     returns the number of each channel, (BLOCK,) each, in the order of `channels`.
 
     Args:
-        study: Arm, sets and rolls.
+        study: Arm, sets and trials.
         channels: From `certified_channels`.
     """
-    positions, orientations, rolls = study.positions, study.orientations, study.free_rolls
+    positions, orientations = study.positions, study.orientations
     arm = as_solved(study.arm.astype(WIDE).baked())
+    trials = trials_of(arm, study.free_rolls, study.redundancy_samples)
     # An accumulator for each channel: their numbers are wanted one by one.
     accumulators = [
-        acc for name, channel in channels.items() for acc in accumulators_for({name: channel}, rolls)
+        acc for name, channel in channels.items() for acc in accumulators_for({name: channel}, trials.number)
     ]
     one_pass = Pass(tuple(accumulators), pinned=True, packs_flags=False)
 
@@ -68,7 +69,7 @@ def certifying_program(study: manifest.Study, channels: dict[str, Channel]) -> C
             rotation = vector.matmul(frame, rotation)
         numbers = [jnp.broadcast_to(x, (BLOCK,)) for x in (*sum(rotation, ()), *place)]
         goal = Pose(rows_of(numbers[:9]), tuple(numbers[9:]))
-        return each_goal(arm, one_pass, goal, rolls, WIDE, (BLOCK,))
+        return each_goal(arm, one_pass, goal, trials, WIDE, (BLOCK,))
 
     tables = positions.tables(WIDE), orientations.tables(WIDE)
     shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), tables)

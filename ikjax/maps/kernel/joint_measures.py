@@ -5,7 +5,8 @@ They run in a pass whose values are pinned, many times slower than a pass of fla
 The Jacobian is that of the tool in the world frame. Its linear rows are divided by the reach and the columns
 of prismatic joints multiplied by it, so that both measures have no unit and do not depend on the arm's size.
 An arm whose task has fewer coordinates than it has joints would have only the rows of its task; an arm with
-fewer joints than coordinates has a tall Jacobian.
+fewer joints than coordinates has a tall Jacobian, one with more has a wide one, of which the transpose is
+taken.
 Source: Yoshikawa, Manipulability of robotic mechanisms, IJRR 4 (1985).
 """
 
@@ -85,7 +86,7 @@ def manipulability(columns: Rows) -> Scalar:
     Args:
         columns: From `jacobian_columns`.
     """
-    return singular.volume([tuple(map(jnp.asarray, column)) for column in columns])
+    return singular.volume([tuple(map(jnp.asarray, column)) for column in _tall(columns)])
 
 
 def sigma_min(columns: Rows) -> Scalar:
@@ -101,7 +102,7 @@ def sigma_min(columns: Rows) -> Scalar:
 
     Source: Parlett, Laguerre's method applied to the matrix eigenvalue problem, Math. Comp. 18 (1964).
     """
-    gram = _gram(columns)
+    gram = _gram(_tall(columns))
     n = len(gram)
 
     def step(_, least):
@@ -118,6 +119,11 @@ def sigma_min(columns: Rows) -> Scalar:
         return pin(least + jnp.where(definite, safe.divide(n, first + spread), 0))
 
     return safe.sqrt(jax.lax.fori_loop(0, STEPS, step, jnp.zeros_like(pin(jnp.asarray(gram[0][0])))))
+
+
+def _tall(columns: Rows) -> Rows:
+    """The columns, or those of the transpose where there are more of them than rows."""
+    return columns if len(columns) <= len(columns[0]) else [list(row) for row in zip(*columns, strict=True)]
 
 
 def _gram(columns: Rows) -> Rows:
@@ -179,14 +185,14 @@ LARGEST = 8.0
 """Larger values are averaged as this."""
 
 
-def unit_of_mean(slots: int, rolls: int) -> float:
+def unit_of_mean(slots: int, trials: int) -> float:
     """The unit to which values are rounded before they are summed for a mean: sums of 32 goals fit 31 bits.
 
     Args:
         slots: Of the arm.
-        rolls: Of each goal.
+        trials: Of each goal.
     """
-    return 2.0 ** -min(20, 23 - math.ceil(math.log2(slots * rolls)))
+    return 2.0 ** -min(20, 23 - math.ceil(math.log2(slots * trials)))
 
 
 def best_of_slots(goal: Goal, what: str, inside: bool) -> jax.Array:

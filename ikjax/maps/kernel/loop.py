@@ -4,12 +4,14 @@ A loop with one result is fused, and a loop with four results is computed four t
 are read from one number of that goal, its bits; and channels that need joints share a pass in which every
 value is pinned.
 
-The loops are nested: pass, block of positions, tile of orientations, roll.
+The loops are nested: pass, block of positions, tile of orientations, trial (a roll of the goal and a value of
+the redundant joint).
 """
 
 import dataclasses
 import itertools
 from collections.abc import Callable
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,13 +21,15 @@ from ikjax.arm.arm import Arm
 from ikjax.core import vector
 from ikjax.core.pose import Pose
 from ikjax.core.xla import divider, pinning
+from ikjax.ik.redundancy import middles
 from ikjax.maps.kernel.accumulators import (
     Pass,
     add_tile,
-    combine_rolls,
+    add_trial,
+    after_trials,
+    before_trials,
     drop_doubtful,
     empty_results,
-    neutral_values,
     reduce_tile,
     value_per_goal,
 )
@@ -48,6 +52,32 @@ CALL = POSITIONS * BLOCKS
 """At most so many positions in one call."""
 
 
+class Trials(NamedTuple):
+    """What is tried of each goal: it counts as reached if one of the trials is."""
+
+    rolls: int
+    """Rolls of each goal about its own z axis, at least 1."""
+    redundancy: np.ndarray
+    """(m, k) values of the redundant joints [rad, m]; (1, 0) where there are none."""
+
+    @property
+    def number(self) -> int:
+        """Trials of each goal."""
+        return self.rolls * len(self.redundancy)
+
+
+def trials_of(arm: Arm, rolls: int, samples: int) -> Trials:
+    """The trials of a sweep of an arm of the kernel's type.
+
+    Args:
+        arm: Baked.
+        rolls: Rolls of each goal.
+        samples: Values of each redundant joint.
+    """
+    values = middles(arm, samples, arm.dtype) if arm.locked else np.zeros((1, 0))
+    return Trials(rolls, np.asarray(values))
+
+
 @dataclasses.dataclass(frozen=True)
 class LoopSpec:
     """What is fixed in the program of a sweep's loop."""
@@ -56,8 +86,7 @@ class LoopSpec:
     """Baked, of type `dtype`."""
     positions: PositionSet
     orientations: Orientations
-    rolls: int
-    """Rolls of each goal about its own z axis, at least 1."""
+    trials: Trials
     dtype: np.dtype
     """Floating type of the kernel."""
     passes: list[Pass]
@@ -119,7 +148,7 @@ def loop(
                 goal = Pose(rotation, tuple(here[k] for k in range(3)))
                 # Where every tile is full no mask is needed, and XLA optimizes better without one.
                 mask = jax.lax.dynamic_index_in_dim(real, t, keepdims=False) if count % width else None
-                values = each_goal(spec.arm, this_pass, goal, spec.rolls, dtype, (depth, width))
+                values = each_goal(spec.arm, this_pass, goal, spec.trials, dtype, (depth, width))
                 return tuple(
                     add_tile(acc, total, reduce_tile(acc, value, mask), t)
                     for acc, total, value in zip(accumulators, totals, values, strict=True)
@@ -145,15 +174,15 @@ def rows_of(nine: list[jax.Array]) -> vector.Matrix:
 
 
 def each_goal(
-    arm: Arm, this_pass: Pass, goal: Pose, rolls: int, dtype: np.dtype, shape: tuple[int, ...]
+    arm: Arm, this_pass: Pass, goal: Pose, trials: Trials, dtype: np.dtype, shape: tuple[int, ...]
 ) -> tuple[jax.Array, ...]:
-    """The number of each goal for each accumulator of a pass, over all rolls about the goal's own z axis.
+    """The number of each goal for each accumulator of a pass, over all trials.
 
     Args:
         arm: Baked, of type `dtype`.
         this_pass: Which numbers.
         goal: T_world_tool in scalars: arrays that broadcast to `shape`.
-        rolls: Rolls of each goal, at least 1.
+        trials: Of each goal.
         dtype: Floating type of the kernel.
         shape: Of the goals: (positions, orientations), or (goals,).
 
@@ -161,36 +190,40 @@ def each_goal(
         One array of that shape for each accumulator.
     """
 
-    def values(rotation) -> tuple[jax.Array, ...]:
+    def values(rotation, free) -> tuple[jax.Array, ...]:
         like = jnp.broadcast_to(rotation[0][0] + goal.position[0], shape)
         policy = divider(like)
         turned = Pose(rotation, goal.position)
         with pinning(policy if this_pass.pinned else None):
-            slots = solve_scalars(arm, turned)
-        solved = Goal(arm, slots, policy, shape, {}, turned)
+            slots = solve_scalars(arm, turned, free=free)
+        solved = Goal(arm, slots, policy, shape, {}, turned, free)
         if this_pass.packs_flags:
             kinds = {channel.inside for acc in this_pass.accumulators for channel in acc.channels}
             solved = solved.with_packed_flags(sorted(kinds), this_pass.doubt_name is not None)
         return tuple(value_per_goal(acc, solved, dtype) for acc in this_pass.accumulators)
 
-    return drop_doubtful(this_pass, _over_rolls(values, this_pass, goal, rolls, dtype, shape))
+    return drop_doubtful(this_pass, _over_trials(values, this_pass, goal, trials, dtype, shape))
 
 
-def _over_rolls(
-    values: Callable[[vector.Matrix], tuple[jax.Array, ...]],
+def _over_trials(
+    values: Callable[[vector.Matrix, tuple[jax.Array, ...]], tuple[jax.Array, ...]],
     this_pass: Pass,
     goal: Pose,
-    rolls: int,
+    trials: Trials,
     dtype: np.dtype,
     shape: tuple[int, ...],
 ) -> tuple[jax.Array, ...]:
-    """The numbers `values` of the goal's rotation, combined over all rolls about its z axis."""
-    if rolls == 1:
-        return values(goal.rotation)
+    """The numbers `values` of the goal's rotation and the redundant joints, combined over all trials."""
+    rolls, (samples, redundant) = trials.rolls, trials.redundancy.shape
+    if rolls == 1 and not redundant:
+        return values(goal.rotation, ())
     steps = np.arange(rolls) * (2 * np.pi / rolls)
     turns = jnp.asarray(np.stack([np.cos(steps), np.sin(steps)], -1).astype(dtype))
+    redundancy = jnp.asarray(trials.redundancy.astype(dtype))
 
-    def roll(k, totals):
+    def rolled(k) -> vector.Matrix:
+        if rolls == 1:
+            return goal.rotation
         c, s = turns[k, 0], turns[k, 1]
         x, y, z = vector.transpose(goal.rotation)
         turned = (
@@ -198,11 +231,16 @@ def _over_rolls(
             vector.subtract(vector.scale(c, y), vector.scale(s, x)),
             z,
         )
-        rolled = values(vector.transpose(turned))
+        return vector.transpose(turned)
+
+    def trial(k, totals):
+        at = k % samples
+        numbers = values(rolled(k // samples), tuple(redundancy[at, j] for j in range(redundant)))
         return tuple(
-            combine_rolls(acc, total, value)
-            for acc, total, value in zip(this_pass.accumulators, totals, rolled, strict=True)
+            add_trial(acc, total, number, at == 0)
+            for acc, total, number in zip(this_pass.accumulators, totals, numbers, strict=True)
         )
 
-    start = tuple(neutral_values(acc, shape, dtype) for acc in this_pass.accumulators)
-    return jax.lax.fori_loop(0, rolls, roll, start)
+    start = tuple(before_trials(acc, shape, dtype) for acc in this_pass.accumulators)
+    totals = jax.lax.fori_loop(0, trials.number, trial, start)
+    return tuple(after_trials(acc, total) for acc, total in zip(this_pass.accumulators, totals, strict=True))

@@ -18,7 +18,7 @@ from ikjax.ik.batched import THREADS
 from ikjax.ik.inline import is_small
 from ikjax.maps.kernel.accumulators import JOIN_CALLS, Accumulator, passes_for
 from ikjax.maps.kernel.certify import Certifier, certified_channels, certifying_program
-from ikjax.maps.kernel.loop import BLOCKS, CALL, ORIENTATIONS, POSITIONS, LoopSpec, loop
+from ikjax.maps.kernel.loop import BLOCKS, CALL, ORIENTATIONS, POSITIONS, LoopSpec, loop, trials_of
 from ikjax.maps.kernel.sample import GOALS_PER_WORD
 from ikjax.maps.sets.protocol import Tables
 from ikjax.maps.statistics import Plan
@@ -145,14 +145,15 @@ def kernel_of(study: manifest.Study, plan: Plan) -> Kernel:
     Positions are divided among this process's devices, each of which runs the same program.
 
     Args:
-        study: Arm, sets, rolls and type.
+        study: Arm, sets, trials and type.
         plan: Its statistics and the channels that they need.
     """
-    positions, orientations, rolls = study.positions, study.orientations, study.free_rolls
+    positions, orientations = study.positions, study.orientations
     dtype = np.dtype(study.dtype)
     arm = as_solved(study.arm.astype(dtype).baked())
+    trials = trials_of(arm, study.free_rolls, study.redundancy_samples)
     tables = positions.tables(dtype), orientations.tables(dtype)
-    passes = passes_for(plan.channels, rolls, is_small(arm), plan.certify)
+    passes = passes_for(plan.channels, trials.number, is_small(arm), plan.certify)
     accumulators = [accumulator for this_pass in passes for accumulator in this_pass.accumulators]
     devices = jax.local_devices()
     mesh = Mesh(np.array(devices), ("goals",))
@@ -164,7 +165,7 @@ def kernel_of(study: manifest.Study, plan: Plan) -> Kernel:
             "arm": manifest.arm_spec(study.arm.astype("float64") if plan.certify else arm),
             "sets": [manifest.set_spec(positions), manifest.set_spec(orientations)],
             "shapes": [x.shape for part in tables for x in part],
-            "rolls": rolls,
+            "trials": [study.free_rolls, study.redundancy_samples],
             "devices": len(devices),
             "dtype": dtype.name,
             "statistics": plan.specs(),
@@ -173,7 +174,7 @@ def kernel_of(study: manifest.Study, plan: Plan) -> Kernel:
     if key not in _compiled:
         while len(_compiled) >= _CACHE_SIZE:
             _compiled.pop(next(iter(_compiled)))
-        spec = LoopSpec(arm, positions, orientations, rolls, dtype, passes, tiles, width)
+        spec = LoopSpec(arm, positions, orientations, trials, dtype, passes, tiles, width)
         certified = certified_channels(passes)
         certifying = certifying_program(study, certified) if certified else None
         _compiled[key] = _compile_loop(spec, tables, mesh), certifying

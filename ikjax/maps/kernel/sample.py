@@ -37,6 +37,8 @@ class Goal(NamedTuple):
     read from one number are under False (without limits) and True (within limits)."""
     pose: Pose | None = None
     """T_world_tool, for channels that look at more than solutions."""
+    free: tuple[jax.Array, ...] = ()
+    """Values of the redundant joints, one number each for all goals."""
 
     def flags(self, inside: bool) -> list[jax.Array]:
         """Which slots count, one bool array (positions, orientations) for each slot.
@@ -81,15 +83,17 @@ class Channel(NamedTuple):
 
     reduce: str
     """"count" (whole numbers; several channels share a 32-bit word), "sum" (whole numbers), "max", "min",
-    "bits" (a flag of every goal)."""
+    "bits" (a flag of every goal), "run" (the most values of the redundant joint in a row at which one of the
+    flags, which are bits of a whole number, stays set)."""
     value: Callable[[Goal], jax.Array]
-    """From goals to their numbers (positions, orientations): int32 of "count" and "sum", bool of "bits"."""
+    """From goals to their numbers (positions, orientations): int32 of "count", "sum" and "run", bool of
+    "bits"."""
     max_per_goal: int = 1
-    """Of "count": the greatest number of one goal at one roll."""
+    """Of "count": the greatest number of one goal at one trial. Of "run": the number of flags."""
     inside: bool = False
-    """Of "count" and "bits": whether it looks at the flags within joint limits."""
-    any_roll: bool = False
-    """Of "count": over free rolls the numbers 0 and 1 are joined by "or", not added."""
+    """Of "count", "bits" and "run": whether it looks at the flags within joint limits."""
+    any_trial: bool = False
+    """Of "count": over trials the numbers 0 and 1 are joined by "or", not added."""
     pinned: bool = False
     """Needs joints, not only flags: values of the kernel are pinned."""
 

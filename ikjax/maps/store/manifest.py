@@ -35,6 +35,10 @@ SCHEMA = 4
 """Version of a map's layout; a reader refuses any other."""
 
 
+SAMPLES = "redundancy_samples"
+"""Key of a spec, there for arms with redundant joints alone."""
+
+
 class Study(Protocol):
     """What the numbers of a map depend on; a `ReachMap` is one.
 
@@ -52,6 +56,9 @@ class Study(Protocol):
 
     @property
     def free_rolls(self) -> int: ...
+
+    @property
+    def redundancy_samples(self) -> int: ...
 
     @property
     def dtype(self) -> str: ...
@@ -95,6 +102,8 @@ def describe(study: Study) -> tuple[dict[str, Any], NamedArrays]:
             for name, (array, axes) in fixed.items()
         },
     }
+    if study.arm.locked:
+        spec[SAMPLES] = study.redundancy_samples
     return json.loads(canonical_json(spec)), fixed
 
 
@@ -109,15 +118,15 @@ def check_stored(spec: dict) -> None:
 
     Raises:
         ValueError: Names that would lead out of the map's folder or into the commands of its page, or an
-            impossible type or number of rolls.
+            impossible type or number of rolls or samples.
     """
     for name in (*spec["statistics"], *spec["fixed"]):
         check_name(name)
-    rolls, dtype = spec["free_rolls"], spec["dtype"]
-    if type(rolls) is not int or rolls < 1 or dtype not in ("float32", "float64"):
-        raise ValueError(
-            f"free_rolls and dtype must be a whole number and a type, got {rolls!r} and {dtype!r}"
-        )
+    for name, trials in (("free_rolls", spec["free_rolls"]), (SAMPLES, spec.get(SAMPLES, 1))):
+        if type(trials) is not int or trials < 1:
+            raise ValueError(f"{name} must be a whole number, got {trials!r}")
+    if spec["dtype"] not in ("float32", "float64"):
+        raise ValueError(f"dtype must be a type, got {spec['dtype']!r}")
 
 
 def is_certified(statistics: Mapping[str, dict[str, Any]]) -> bool:
