@@ -98,7 +98,7 @@ STANDS = {
     ("gx4_351s", "zero"): (0.350, 0, 0),
     # FANUC's file places J4 to J6 in the world: my_1, mz_3 and mx_2 there, which is J6's flange.
     ("crx10ia", "zero"): (0.700, -0.150, 0.785),
-    # UFACTORY, xArm user manual: the initial position of the xArm 6.
+    # UFACTORY, Kinematic and dynamic parameters of xArm 6: 53.5 + 77.5 + 76, 267 + 284.5 - 342.5 - 97 mm.
     ("xarm6", "zero"): (0.207, 0, 0.112),
     # Sums of the lengths in the files that the catalogue names.
     ("hc10", "zero"): (0, 0.162, 0.275 + 0.700 - 0.500 - 0.130),
