@@ -522,13 +522,14 @@ def _warn_of_rounded_twists(arm: Arm, leaves: dict, up: int) -> None:
     if arm.family is None:
         return  # `solve` refuses it, and says the same
     rank = list(RULES).index
-    for each in AXIS_LADDER[:1]:
+    for each in AXIS_LADDER if RULES[arm.family].wide else AXIS_LADDER[:1]:
         faster = recognize.recognize(arm.kinds, leaves, None, up, each, arm.locked).family
         if faster is not None and rank(faster) < rank(arm.family):
             warn(
                 f"{arm.name} is taken as {arm.family}; but for rounded numbers it is {faster}, which is "
                 f"faster: build it with axis_tolerance={each:g}"
             )
+            return
 
 
 def _nearest(

@@ -12,6 +12,7 @@ from ikjax.cli.output import FILE_OPTIONS, file_options, print_error
 from ikjax.cli.show import check_places, report
 from ikjax.cli.stop import OTHERS_ENDED, Stop
 from ikjax.core.text import line
+from ikjax.ik.redundancy import checked_samples
 from ikjax.maps.sets.orientations import as_orientations
 from ikjax.maps.store.storage import StorageError
 from ikjax.maps.sweep import SweepStoppedError
@@ -66,6 +67,7 @@ def run_sweep(options) -> int:
     positions = math.prod(study.positions.shape)
     if positions >= 2**31:
         raise ValueError(f"--spacing asks for {positions:.2g} positions, 2^31 or more")
+    checked_samples(study.arm, study.redundancy_samples, 1)
     is_first = jax.process_index() == 0
     if is_first and not options.json:
         count = as_orientations(study.orientations).count

@@ -35,11 +35,22 @@ def calibrated(rng, size):
 
 
 HELPED = {
-    "an angle typed with three decimals": (PUMA, {"alpha1": 2e-4, "d5": 1e-5}, "ortho_parallel_wrist"),
-    "axes that just miss": (PUMA, {"a5": 2e-4}, "ortho_parallel_wrist"),
+    "an angle typed with three decimals": (
+        PUMA,
+        {"alpha1": 2e-4, "alpha2": 2e-4, "d5": 1e-5},
+        "ortho_parallel_wrist",
+    ),
+    "axes that just miss": (PUMA, {"a5": 2e-4, "alpha2": 1e-4}, "ortho_parallel_wrist"),
     "nearly parallel axes": (UR, {"alpha2": 1e-3}, "three_parallel"),
-    "a wrist off by a hundredth": (PUMA, {"d5": 0.01}, "ortho_parallel_wrist"),
+    "a wrist off by a hundredth": (PUMA, {"d5": 0.01, "alpha2": 1e-3}, "offset_wrist"),
 }
+
+
+@pytest.mark.parametrize("change", [{"a5": 2e-4}, {"d5": 1e-5}])
+def test_an_arm_that_nearly_has_eight_slots_is_told_of_the_tolerance(change):
+    with pytest.warns(UserWarning, match=r"ortho_parallel_wrist, which is faster: build it with axis_tol"):
+        arm = arm_of(PUMA, **change)
+    assert arm.family == "offset_wrist"
 
 
 @pytest.mark.parametrize(("table", "change", "family"), HELPED.values(), ids=HELPED)

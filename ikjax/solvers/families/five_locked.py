@@ -54,18 +54,19 @@ def branches(
     Sides, bends and limits are leading axes of one array, so that a program contains the steps once.
     """
     like = goal.position[0]
+    goal = jax.tree.map(lambda x: jnp.asarray(x)[None, None, None], goal)
 
     def along(axis: int, values: list[Scalar]) -> Scalar:
         stacked = jnp.stack([jnp.asarray(x, like.dtype) for x in values])
-        return stacked.reshape(-1, *[1] * (axis + like.ndim))
+        return jnp.expand_dims(stacked, [k for k in range(3 + like.ndim) if k != axis])
 
-    side = along(0, [1, -1]) * safe.sign(links[0].a)
+    side = along(2, [1, -1]) * safe.sign(links[0].a)
     hand = hand_of(signs, links, goal, side, setting)
     answers = []
     for joint, angles in limits.items():
         if not angles:
             continue
-        sine, cosine = (along(2, list(x)) for x in zip(*angles, strict=True))
+        sine, cosine = (along(0, list(x)) for x in zip(*angles, strict=True))
         bent = _bent(signs, links, hand, setting, joint, (sine, cosine), along(1, [1, -1]))
         shoulder, elbow, pitch = ((pin(x), pin(y)) for x, y in bent)
         roll = setting.angle(*roll_of(signs, hand.rotation, pitch, links[3], setting))
