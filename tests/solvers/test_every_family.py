@@ -67,7 +67,7 @@ def test_the_family_is_recognized(name):
     assert "NO" not in ikjax.explain(arm)
 
 
-LONGEST = ("offset wrist", "offset wrist, shared")
+LONGEST = ("offset wrist", "offset wrist, shared", "offset wrist, reversed")
 """Compiled for more than 20 s."""
 
 SOLVED = [
