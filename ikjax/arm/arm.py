@@ -556,9 +556,10 @@ def _nearest(
     if axis_tolerance is not None:
         ladder = (*(rung for rung in AXIS_LADDER if rung < axis_tolerance), axis_tolerance)
     best: tuple[tuple[bool, int], Rewritten] | None = None
-    none, slow = (True, len(RULES)), (False, list(RULES).index("offset_wrist"))
+    none = (True, len(RULES))
     for each in (FACT, *(max(rung, FACT) for rung in ladder)):
-        if axis_tolerance is None and each > ladder[0] and best is not None and best[0] < slow:
+        looser = axis_tolerance is None and each > ladder[0]
+        if looser and best is not None and best[0] < none and not list(RULES.values())[best[0][1]].wide:
             break
         table = rewritten(given, each)
         numbers = {**table.columns, "tool": table.tool}

@@ -174,7 +174,8 @@ def _parallel_axes(t: Table) -> Judgement:
         apart = float(np.linalg.norm(np.cross(along[which[0]], between)))
         checks.append(t.apart(f"axes {i + 1} and {i + 2} apart", apart))
     off, off_first = (x / t.size for x in _proportional(place, along, points))
-    # The quartic is as good where joint B is nearly alone as elsewhere, so that this has no nearly.
+    # The quartic needs no care where joint B is nearly alone: with a1 off by 1e-4 and 0.01, or alpha1 by
+    # 1e-4, none of 4,000 goals was lost.
     b_alone = bool(off_first <= SPLITS["parallel_axes"] and off_first < off)
     off = off_first if b_alone else off
     bounds = {
