@@ -596,3 +596,11 @@ def numbers(leaf: Number) -> tuple[Scalar, ...]:
     if isinstance(leaf, jax.core.Tracer):
         return tuple(leaf[i] for i in range(leaf.shape[0]))
     return tuple(x if isinstance(x, jax.Array) else float(x) for x in np.asarray(leaf))
+
+
+def array_of(leaf: Number, dtype: DTypeLike) -> np.ndarray | jax.Array:
+    """A 1-D leaf as one array; its entries may be known in part, see `numbers`."""
+    entries = numbers(leaf)
+    if all(isinstance(x, float) for x in entries):
+        return np.array(entries, dtype)
+    return jnp.stack([jnp.asarray(x, dtype) for x in entries])

@@ -22,7 +22,7 @@ from ikjax.core.pose import Pose
 from ikjax.core.trig import Scalar, sincos
 from ikjax.core.typing import ArrayInput
 from ikjax.core.vector import plus, times
-from ikjax.core.xla import as_array, pin, pin_number
+from ikjax.core.xla import as_array, pin, pin_all, pin_number
 
 
 class Link(NamedTuple):
@@ -196,20 +196,34 @@ class Chain(NamedTuple):
     """The frame that the tool is mounted on."""
 
 
-def chain(arm: Arm, q: tuple[Scalar, ...]) -> Chain:
-    """Every frame at joint values q. Each is pinned, because all later frames need it."""
+def chain(arm: Arm, q: tuple[Scalar, ...] | jax.Array) -> Chain:
+    """Every frame at joint values q. Each is pinned, because all later frames need it.
+
+    Of joints in one array (n, ...) the numbers of the frames are (1, ...).
+    """
     frame, off = fixed_pose(arm.base), corrections(arm)
     frame = frame if off is None else poses.compose(frame, off[0])
-    before, ends = [], []
-    for i, (link, value) in enumerate(zip(links(arm), coupled(arm, q), strict=True)):
+    before, ends, table = [], [], links(arm)
+    for i, (link, joint) in enumerate(zip(table, _joint_values(arm, table, q), strict=True)):
         before.append(frame)
-        turn, slide = (value, 0) if link.kind == "R" else (0, value)
-        angle = link.theta + turn
-        sine, cosine = known_sincos(angle) if isinstance(angle, float) else sincos(angle)
-        joint = Joint(pin(sine), pin(cosine), link.d + slide)
-        ends.append(jax.tree.map(pin, advance(frame, link, joint)))
-        frame = ends[-1] if off is None else jax.tree.map(pin, poses.compose(ends[-1], off[i + 1]))
+        ends.append(pin_all(advance(frame, link, joint)))
+        frame = ends[-1] if off is None else pin_all(poses.compose(ends[-1], off[i + 1]))
     return Chain(before, ends, frame)
+
+
+def _joint_values(arm: Arm, table: tuple[Link, ...], q: tuple[Scalar, ...] | jax.Array) -> list[Joint]:
+    """The value of each joint, its sine and cosine pinned."""
+    stacked = isinstance(q, jax.Array)
+    values = coupled(arm, tuple(q[i : i + 1] for i in range(arm.n)) if stacked else q)
+    pairs = list(zip(table, values, strict=True))
+    angles = [link.theta + value if link.kind == "R" else link.theta for link, value in pairs]
+    slides = [link.d + value if link.kind == "P" else link.d for link, value in pairs]
+    if not stacked or set(arm.kinds) != {"R"}:
+        turns = [known_sincos(x) if isinstance(x, float) else sincos(x) for x in angles]
+        return [Joint(pin(s), pin(c), d) for (s, c), d in zip(turns, slides, strict=True)]
+    # The sines of all joints are one computation.
+    sines, cosines = pin_all(sincos(jnp.concatenate(angles)))
+    return [Joint(sines[i : i + 1], cosines[i : i + 1], d) for i, d in enumerate(slides)]
 
 
 def _columns(q: jax.Array) -> tuple[jax.Array, ...]:

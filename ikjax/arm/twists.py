@@ -7,11 +7,12 @@ shifts all that comes after it about an axis of its frame, as a joint does.
 """
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from ikjax.arm.arm import Arm, numbers
 from ikjax.arm.forward import Chain, fixed_pose, fk, frames
@@ -68,6 +69,29 @@ def joint_twists(arm: Arm, chain: Chain, tip: Vector) -> list[Twist]:
         axis = _axis(frame, 2)
         twists.append(prismatic_twist(axis) if kind == "P" else revolute_twist(axis, frame.position, tip))
     return twists
+
+
+def stacked_twists(arm: Arm, chain: Chain, tip: Vector, q: jax.Array) -> Twist:
+    """`joint_twists` as one, each component an array of the shape of q (n, ...).
+
+    The numbers of the chain and of the tip are (1, ...).
+    """
+
+    def stacked(numbers: Iterable[Scalar]) -> jax.Array:
+        return jnp.concatenate(
+            [jnp.broadcast_to(jnp.asarray(x, q.dtype), (1, *q.shape[1:])) for x in numbers]
+        )
+
+    axis, point = (
+        tuple(map(stacked, zip(*vectors, strict=True)))
+        for vectors in ([_axis(x, 2) for x in chain.before], [x.position for x in chain.before])
+    )
+    turning = revolute_twist(axis, point, tip)
+    if "P" not in arm.kinds:
+        return turning
+    slides = np.array([kind == "P" for kind in arm.kinds]).reshape(-1, *[1] * (q.ndim - 1))
+    linear = tuple(jnp.where(slides, x, y) for x, y in zip(axis, turning.linear, strict=True))
+    return Twist(linear, tuple(jnp.where(slides, 0, x) for x in axis))
 
 
 def motor_twists(arm: Arm, chain: Chain, tip: Vector) -> list[Twist]:

@@ -18,7 +18,7 @@ from ikjax.core.trig import Scalar, atan2, sincos
 from ikjax.core.typing import ArrayInput
 from ikjax.core.vector import Matrix, Vector
 from ikjax.core.warn import warn_of_degrees
-from ikjax.core.xla import pin
+from ikjax.core.xla import pin, pin_all
 
 
 class Pose(NamedTuple):
@@ -182,7 +182,7 @@ def rotation_vector(m: Matrix) -> RotationVector:
 
     Source: the logarithm of a rotation; Sola et al., A micro Lie theory (2018), (144)-(145).
     """
-    w, x, y, z = map(pin, to_quaternion(m))
+    w, x, y, z = pin_all(to_quaternion(m))
     # Of the two quaternions of a rotation the one with w >= 0 has the angle in [0, pi].
     side = safe.sign(w)
     w, rest = side * w, (side * x, side * y, side * z)
@@ -194,7 +194,7 @@ def rotation_vector(m: Matrix) -> RotationVector:
     factor = pin(jnp.where(small, 2 + square / 3, 2 * half / size))
     shrink = pin(jnp.where(small, 1 - square / 3, half * w / size))
     bend = pin(jnp.where(small, 1 / 12, (1 - shrink) / (4 * half * half)))
-    return RotationVector(tuple(pin(factor * c) for c in rest), shrink, bend)
+    return RotationVector(pin_all(vector.scale(factor, rest)), shrink, bend)
 
 
 def from_rotation_vector(v: Vector) -> Matrix:
@@ -448,8 +448,9 @@ def nearest_pose(rows: tuple[tuple[Scalar, ...], ...], reach: Scalar) -> tuple[P
     goal, off = _measured(Pose(rotation, position), reach)
     for entry, wanted in zip(rows[3], (0, 0, 0, 1), strict=True):
         off = jnp.where(entry == wanted, off, jnp.inf)
-    rotation = vector.nearest_rotation(_or_identity(off <= NEARLY_ROTATION, goal.rotation))
-    return Pose(rotation, goal.position), off
+    off = pin(off)
+    rotation = pin_all(_or_identity(off <= NEARLY_ROTATION, goal.rotation))
+    return Pose(vector.nearest_rotation(rotation), pin_all(goal.position)), off
 
 
 def _measured(goal: Pose, reach: Scalar) -> tuple[Pose, jax.Array]:

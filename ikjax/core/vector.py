@@ -9,6 +9,7 @@ is why a kernel is fast whose arm is a constant (`Arm.baked`).
 
 from ikjax.core import safe
 from ikjax.core.trig import Scalar
+from ikjax.core.xla import pin_all
 
 Vector = tuple[Scalar, ...]
 """(x, y, z)"""
@@ -108,7 +109,7 @@ def nearest_rotation(m: Matrix) -> Matrix:
         x, y, z = transpose(m)
         xy, yz, zx = (times(-0.5, dot(u, v)) for u, v in ((x, y), (y, z), (z, x)))
         xx, yy, zz = (plus(1.5, times(-0.5, dot(v, v))) for v in (x, y, z))
-        m = matmul(m, ((xx, xy, zx), (xy, yy, yz), (zx, yz, zz)))
+        m = pin_all(matmul(m, ((xx, xy, zx), (xy, yy, yz), (zx, yz, zz))))
     return m
 
 

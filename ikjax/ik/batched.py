@@ -24,7 +24,7 @@ import numpy as np
 
 from ikjax.arm.arm import Arm, once_for_each_arm
 from ikjax.core import cores
-from ikjax.core.xla import constant, divider, pinning, to_columns, to_rows, wide_vectors
+from ikjax.core.xla import constant, divider, pinning, quick_to_compile, to_columns, to_rows, wide_vectors
 from ikjax.ik.inline import FIELDS, Entries, from_rows, parts, rows_of, slots_of
 from ikjax.ik.results import Solutions
 
@@ -87,7 +87,7 @@ def map_rows(block: Callable[..., Any], arm: Arm, inputs, batch: tuple[int, ...]
 def _few_program() -> Callable[..., Any]:
     """The program of one block. Not made at import: the compiler's options depend on the devices, and to
     ask for these is what `jax.distributed.initialize` and a fork must come before."""
-    return jax.jit(_few, static_argnums=(0, 1, 2), compiler_options=wide_vectors())
+    return jax.jit(_few, static_argnums=(0, 1, 2), compiler_options=quick_to_compile())
 
 
 def _few(block, known, batch: tuple[int, ...], rest, inputs):

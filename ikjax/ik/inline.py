@@ -25,7 +25,16 @@ import jax.numpy as jnp
 from ikjax.arm.arm import Arm, once_for_each_arm
 from ikjax.arm.forward import reach
 from ikjax.core.pose import Pose, clean
-from ikjax.core.xla import AgreedRoots, divider, hidden, is_traced, pinning, stored, through_one_number
+from ikjax.core.xla import (
+    AgreedRoots,
+    divider,
+    hidden,
+    is_traced,
+    pinning,
+    quick_to_compile,
+    stored,
+    through_one_number,
+)
 from ikjax.ik.results import Solutions
 from ikjax.solvers.families import FAMILIES
 from ikjax.solvers.pipeline import Slot, each_slot, margin_rows, solve_rows, solve_scalars
@@ -159,24 +168,30 @@ def parts(arm: Arm) -> tuple[tuple, list[jax.Array]]:
     return known, [jnp.asarray(leaf) for leaf in rest]
 
 
-def jit_with_arm(f: Callable[..., Any], whole: bool = False) -> Callable[..., Any]:
+def jit_with_arm(f: Callable[..., Any], whole: bool = False, quick: bool = False) -> Callable[..., Any]:
     """`jax.jit` of f(arm, *arrays) in which those of the arm's numbers that are known stay known.
 
     Called eagerly, one program serves all arms of the same zeros, ones and twists; where `whole` is set, one
-    arm. Within an outer jit, or under `grad` and `vmap`, all leaves that are not traced are constants of the
-    program.
+    arm. Where `quick` is set, it compiles quickly, for calls of few goals. Within an outer jit, or under
+    `grad` and `vmap`, all leaves that are not traced are constants of the program.
     """
 
-    @functools.partial(jax.jit, static_argnums=0, inline=True)
     def of_known(known, rest, *arrays):
         # Other callers use this program again, so the caller's pinning must not enter it.
         with pinning(None):
             return f(Arm.join(known, rest), *arrays)
 
+    inlined = jax.jit(of_known, static_argnums=0, inline=True)
+
+    @functools.cache
+    def eager():
+        return jax.jit(of_known, static_argnums=0, compiler_options=quick_to_compile()) if quick else inlined
+
     @functools.wraps(f)
     def call(arm: Arm, *arrays):
-        as_constants = whole or is_traced((arm, arrays))
-        return of_known(*(arm.split(whole=True) if as_constants else parts(arm)), *arrays)
+        traced = is_traced((arm, arrays))
+        program = inlined if traced else eager()
+        return program(*(arm.split(whole=True) if whole or traced else parts(arm)), *arrays)
 
     return call
 

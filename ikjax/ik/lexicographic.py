@@ -25,7 +25,7 @@ from ikjax.core.pose import Pose
 from ikjax.core.tolerances import CONVERGED, CURVATURE_FLOOR, LAST_WEIGHT, SAME_COST, SAME_ERROR
 from ikjax.core.trig import Scalar
 from ikjax.ik import newton
-from ikjax.ik.newton import Evaluation, Joints, Objective, State
+from ikjax.ik.newton import Evaluation, Objective, State
 from ikjax.ik.results import Projection
 from ikjax.solvers.pipeline import TURNING
 
@@ -72,8 +72,8 @@ def objective_of(
 
 
 def descend(
-    arm: Arm, goal: Pose, characteristic_length: Scalar, priority: str, q: Joints, steps, damping
-) -> tuple[State, Scalar, Joints]:
+    arm: Arm, goal: Pose, characteristic_length: Scalar, priority: str, q: jax.Array, steps, damping
+) -> tuple[State, Scalar, jax.Array]:
     """Take `steps` Newton steps, or as many in each stage of a priority.
 
     Arguments as in `objective_of` and `newton.descend`.
@@ -94,8 +94,8 @@ def descend(
 
 
 def _descend_in_stages(
-    arm: Arm, weighted_by: Callable[[Scalar], Objective], priority: str, q: Joints, steps
-) -> tuple[State, Scalar, Joints]:
+    arm: Arm, weighted_by: Callable[[Scalar], Objective], priority: str, q: jax.Array, steps
+) -> tuple[State, Scalar, jax.Array]:
     """The stages of a priority, and one last iteration of the same loop from the extrapolated joints."""
     dtype, zero = q[0].dtype, jnp.zeros_like(q[0])
     last_weight, ratio = (jnp.asarray(x[dtype.name], dtype) for x in (LAST_WEIGHT, WEIGHT_RATIO))
@@ -106,27 +106,20 @@ def _descend_in_stages(
         # The iteration after the last stage starts where the line leads, and looks at the first error alone.
         is_final, converged = k == STAGES, gradient_norm <= tolerance
         weight = last_weight * ratio ** (STAGES - 1 - k).astype(dtype)
-        extrapolated = tuple(
-            jnp.clip(x + (x - y) / (ratio - 1), low, high)
-            for x, y, (low, high) in zip(q, q_before, newton.bounds(arm), strict=True)
-        )
+        extrapolated = jnp.clip(q + (q - q_before) / (ratio - 1), *newton.bounds(arm, q))
         # Joints at an active bound stay there: the first error alone would move them off it.
-        fixed = tuple(is_final & bound for bound in newton.active_bounds(arm, q, here.gradient))
-        start = tuple(
-            jnp.where(is_final & converged & ~f, x, y) for x, y, f in zip(extrapolated, q, fixed, strict=True)
-        )
+        fixed = is_final & newton.active_bounds(arm, q, here.gradient)
+        start = jnp.where(is_final & converged[None] & ~fixed, extrapolated, q)
         damping = zero + newton.FIRST_DAMPING * weight
         objective = weighted_by(jnp.where(is_final, 0, weight))._replace(fixed=fixed)
         state = newton.descend(arm, objective, start, steps, damping)
         norm = newton.projected_gradient_norm(arm, state.q, state.evaluation) / jnp.sqrt(weight)
         nearer = _first_error(state.evaluation, priority) <= _first_error(here, priority)
         accepted = ~is_final | nearer
-        result = jax.tree.map(
-            lambda new, old: jnp.where(accepted, new, old), (state.q, state.evaluation), (q, here)
-        )
+        result = newton.choose(accepted, (state.q, state.evaluation), (q, here))
         return q, *result, jnp.where(is_final, gradient_norm, norm)
 
-    carried = (zero,) * arm.n, q, newton.worst_evaluation(arm, zero), zero
+    carried = jnp.zeros_like(q), q, newton.worst_evaluation(arm, zero), zero
     last_minimizer, q, here, gradient_norm = jax.lax.fori_loop(0, STAGES + 1, stage, carried)
     return State(q, here, zero + newton.FIRST_DAMPING), gradient_norm, last_minimizer
 

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from ikjax.arm.arm import Arm
+from ikjax.arm.arm import Arm, array_of, numbers
 from ikjax.arm.forward import reach, whole_turns
 from ikjax.core.pose import Pose, nearest_pose
 from ikjax.core.tolerances import CONVERGED, NEARLY_ROTATION
@@ -35,7 +35,7 @@ from ikjax.core.xla import (
 )
 from ikjax.ik import batched, lexicographic, newton
 from ikjax.ik.inline import Entries, entries_of
-from ikjax.ik.newton import Joints, bounds
+from ikjax.ik.newton import Joints
 from ikjax.ik.project_gradient import with_derivatives
 from ikjax.ik.results import Projection
 from ikjax.ik.solve import as_goals
@@ -99,9 +99,34 @@ def starts_at_limits(arm: Arm, goals: jax.Array) -> jax.Array:
     if not is_traced((arm, goals)):
         starts = batched.map_blocks(_StartsAtLimitsBlock(), arm, goals.reshape(-1, 4, 4))
         return starts.reshape(*goals.shape[:-2], *starts.shape[1:])
+    q, branches = _near_limits(*_known(arm, goals))
+    return _starts_last(q)[..., branches:, :]
+
+
+def branches_and_limits(arm: Arm, goals: jax.Array) -> jax.Array:
+    """The branches of the closed form and `starts_at_limits`, (..., S, n), in a trace.
+
+    In one program: the second ones are made of the first.
+    """
+    return _starts_last(_near_limits(*_known(arm, goals))[0])
+
+
+def branch_starts(arm: Arm, goals: jax.Array) -> jax.Array:
+    """The branches of the closed form, (..., S, n), in a trace."""
+    arm, entries = _known(arm, goals)
+    goal, _, policy = nearest_goal(arm, entries)
+    return _starts_last(closed_form_starts(arm, goal, policy))
+
+
+def _known(arm: Arm, goals: jax.Array) -> tuple[Arm, Entries]:
+    """The arm and the entries of goals (..., 4, 4), without derivatives."""
     arm, goals = stop_gradient((arm, goals))
-    rows = _starts_at_limits(arm.baked(), entries_of(goals))
-    return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+    return arm.baked(), entries_of(goals)
+
+
+def _starts_last(q: Joints) -> jax.Array:
+    """Joints, each (S, ...), as one array (..., S, n)."""
+    return jnp.moveaxis(jnp.stack(q, axis=-1), 0, -2)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -109,18 +134,19 @@ class _StartsAtLimitsBlock:
     """`starts_at_limits` of one block of goals."""
 
     def __call__(self, arm: Arm, goals: jax.Array) -> jax.Array:
-        rows = _starts_at_limits(arm, batched.entries_in(goals))
-        return to_rows([x for row in rows for x in row], goals.shape[0]).reshape(-1, len(rows), arm.n)
+        q, branches = _near_limits(arm, batched.entries_in(goals))
+        count = q[0].shape[0]
+        rows = to_rows([x[s] for s in range(branches, count) for x in q], goals.shape[0])
+        return rows.reshape(-1, count - branches, arm.n)
 
 
-def _starts_at_limits(arm: Arm, entries: Entries) -> list[tuple[jax.Array, ...]]:
+def _near_limits(arm: Arm, entries: Entries) -> tuple[Joints, int]:
+    """The branches and the starts with a joint at a limit, each joint (S, ...); how many are branches."""
     goal, _, policy = nearest_goal(arm, entries)
-    shape = goal.position[0].shape
     with pinning(policy):
-        at_limits, branches = proposed_at_limits(arm, goal), proposed(arm, goal)
-    low, high = bounds(arm)[-1]
-    across = ((*q[:-1], _farther_limit(q[-1], low, high)) for q in [*branches, *at_limits])
-    return [tuple(policy(jnp.broadcast_to(x, shape)) for x in q) for q in [*at_limits, *across]]
+        q, branches = proposed_at_limits(arm, goal)
+        across = policy(_farther_limit(q[-1], *numbers(arm.limits[-1])))
+    return (*(jnp.concatenate([x, x]) for x in q[:-1]), jnp.concatenate([q[-1], across])), branches
 
 
 def _farther_limit(x: Scalar, low: Scalar, high: Scalar) -> Scalar:
@@ -139,10 +165,7 @@ def sampling_ranges(arm: Arm) -> tuple[jax.Array, jax.Array]:
     Between two limits the whole range; of a joint whose whole turn leaves the pose, one turn in the middle of
     it. From a single limit one turn, or two reaches for a slide; without limits as much, about zero.
     """
-    low, high = (
-        jnp.stack([jnp.asarray(limit, arm.dtype) for limit in ends])
-        for ends in zip(*bounds(arm), strict=True)
-    )
+    low, high = (jnp.asarray(array_of(arm.limits[:, end], arm.dtype)) for end in (0, 1))
     size = jnp.asarray(reach(arm), arm.dtype)
     size = jnp.where(size > 0, size, 1)  # of slides alone, whose table has no lengths
     half = jnp.stack([jnp.asarray(np.pi, arm.dtype) if kind == "R" else size for kind in arm.kinds])
@@ -327,7 +350,7 @@ def closed_form(arm: Arm, entries: Entries, characteristic_length, free: Joints 
     with pinning(policy):
         branches = proposed(arm, goal, free)
     for q in branches:
-        inside = tuple(policy(jnp.broadcast_to(x, shape)) for x in newton.into_limits(arm, q))
+        inside = policy(newton.into_limits(arm, tuple(jnp.broadcast_to(x, shape) for x in q)))
         end = _descend_within_limits(
             arm, goal, proper, inside, characteristic_length, 0, None, "weighted", policy
         )
@@ -357,8 +380,8 @@ def descend_starts(
         damping: That at which an earlier descent ended, or None.
         priority: See `refine`.
     """
-    starts = newton.into_limits(arm, starts)
     goal = jax.tree.map(lambda x: x[None], goal)
+    starts = newton.into_limits(arm, starts)
     return _descend_within_limits(
         arm, goal, proper[None], starts, characteristic_length, steps, damping, priority, None
     )
@@ -368,7 +391,7 @@ def _descend_within_limits(
     arm: Arm,
     goal: Pose,
     proper: jax.Array,
-    starts: Joints,
+    starts: jax.Array,
     characteristic_length,
     steps,
     damping,
@@ -387,12 +410,12 @@ def _descend_within_limits(
     if priority != "weighted":
         cost = (size * here.distance) ** 2 + (characteristic_length * here.angle) ** 2
     # Nothing is measured against what stands for a goal that is no pose, and the arm does not move to it.
-    q = tuple(jnp.where(proper, x, y) for x, y in zip(state.q, starts, strict=True))
+    q = tuple(newton.choose(proper, state.q, starts))
     cost, position_error, rotation_error, gradient_norm = (
         jnp.where(proper, x, jnp.nan) for x in (cost, size * here.distance, here.angle, gradient_norm)
     )
     return Descent(
-        q, cost, position_error, rotation_error, gradient_norm, converged, state.damping, minimizer
+        q, cost, position_error, rotation_error, gradient_norm, converged, state.damping, tuple(minimizer)
     )
 
 
@@ -401,9 +424,10 @@ def nearest_goal(arm: Arm, entries: Entries) -> tuple[Pose, jax.Array, Pin]:
 
     The pin is for values of the shape of the goal's numbers.
     """
-    goal, off = nearest_pose(entries, reach(arm))
     policy = divider_once(entries[0][3])
-    return jax.tree.map(policy, goal), off <= NEARLY_ROTATION, policy
+    with pinning(policy):
+        goal, off = nearest_pose(entries, reach(arm))
+    return goal, off <= NEARLY_ROTATION, policy
 
 
 @jax.jit

@@ -1,6 +1,8 @@
 """Projected Newton descent to the nearest attainable pose: the cost, its derivatives, and the steps.
 
-In scalars, for one start of one goal; every scalar may be an array of any batch shape.
+For one start of one goal; every number may be an array of any batch shape. What there is of each joint is one
+array with the joints as its first axis: a program of one scalar for each joint, and for each pair of joints,
+compiles twice as long.
 
 Lengths are divided by the arm's reach. Let d be the vector from the goal's point to the tool point, and w the
 rotation vector from the goal's orientation to the tool's (its length is the angle). The cost is
@@ -27,22 +29,24 @@ Bertsekas, Projected Newton methods (1982); damping after Marquardt (1963).
 
 import functools
 import math
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from ikjax.arm.arm import Arm, numbers
+from ikjax.arm.arm import Arm, array_of
 from ikjax.arm.forward import Chain, chain, fixed_pose, reach, whole_turns
-from ikjax.arm.twists import Twist, joint_twists, task_plane
+from ikjax.arm.twists import stacked_twists, task_plane
 from ikjax.core import pose as poses
 from ikjax.core import safe, vector
-from ikjax.core.linear import dot, solve_symmetric
+from ikjax.core.linear import solve_symmetric
 from ikjax.core.pose import Pose
 from ikjax.core.tolerances import CONVERGED, CURVATURE_FLOOR, NEARLY_FLAT, SADDLE_PUSH
 from ikjax.core.trig import Scalar
+from ikjax.core.typing import ArrayInput
 from ikjax.core.vector import plus, times
-from ikjax.core.xla import divider_once, pin, pinning
+from ikjax.core.xla import divider_once, pin, pin_all, pinning
 from ikjax.ik.turns import nearest_turn
 from ikjax.solvers.pipeline import TURNING
 
@@ -55,7 +59,10 @@ FIRST_DAMPING, DAMPING_FACTOR = 1e-2, 10.0
 multiplied by it after any other."""
 
 
+Tree = TypeVar("Tree")
+
 Joints = tuple[Scalar, ...]
+"""A value for each joint, all of one shape."""
 
 
 class Objective(NamedTuple):
@@ -69,18 +76,18 @@ class Objective(NamedTuple):
     """Weight of the squared distance."""
     curvature_floor: Scalar = CURVATURE_FLOOR
     """The least curvature that a step divides by."""
-    fixed: tuple[jax.Array, ...] | None = None
-    """Per joint, whether it must not move; by default none is fixed."""
+    fixed: jax.Array | None = None
+    """Joints that must not move, (n, ...); by default none is fixed."""
 
 
 class Evaluation(NamedTuple):
     """The cost and its derivatives at some joints; lengths in reaches, also those of sliding joints."""
 
     cost: Scalar
-    gradient: tuple[Scalar, ...]
-    """Of half the cost, for each joint."""
-    hessian: tuple[tuple[Scalar, ...], ...]
-    """Of half the cost, the lower triangle."""
+    gradient: jax.Array
+    """Of half the cost, (n, ...)."""
+    hessian: jax.Array
+    """Of half the cost, (n, n, ...); only the lower triangle means something."""
     distance: Scalar
     """From the goal's point to the tool point."""
     angle: Scalar
@@ -92,18 +99,19 @@ class Evaluation(NamedTuple):
 class State(NamedTuple):
     """What one step hands to the next."""
 
-    q: Joints
+    q: jax.Array
+    """(n, ...)"""
     evaluation: Evaluation
     damping: Scalar
 
 
-def descend(arm: Arm, objective: Objective, q: Joints, steps, damping: Scalar | None = None) -> State:
+def descend(arm: Arm, objective: Objective, q: jax.Array, steps, damping: Scalar | None = None) -> State:
     """Take a number of Newton steps from joints within the limits.
 
     Args:
         arm: The arm.
         objective: What is minimized.
-        q: Where the descent starts, within the limits.
+        q: Where the descent starts, within the limits, (n, ...).
         steps: How many steps; may be traced.
         damping: The damping at which an earlier descent ended; `FIRST_DAMPING` by default.
 
@@ -114,14 +122,14 @@ def descend(arm: Arm, objective: Objective, q: Joints, steps, damping: Scalar | 
     damping = zero + FIRST_DAMPING if damping is None else damping
     # Without steps there is no loop, and nobody reads the Hessian.
     if isinstance(steps, int) and steps == 0:
-        with pinning(divider_once(q[0])):
+        with pinning(divider_once(q[:1])):
             return State(q, evaluate(arm, objective, q), damping)
     # The first iteration only evaluates the start: it begins at an infinite cost, with a zero gradient.
     # An evaluation outside the loop would make the program twice as long.
     state = State(q, worst_evaluation(arm, zero), damping * DAMPING_FACTOR)
 
     def iteration(_, state: State) -> State:
-        with pinning(divider_once(state.q[0])):
+        with pinning(divider_once(state.q[:1])):
             return newton_step(arm, objective, state)
 
     return jax.lax.fori_loop(0, steps + 1, iteration, state)
@@ -129,101 +137,119 @@ def descend(arm: Arm, objective: Objective, q: Joints, steps, damping: Scalar | 
 
 def worst_evaluation(arm: Arm, zero: Scalar) -> Evaluation:
     """An infinite cost, so that any step is better; zero gradient and unit Hessian, so that none is made."""
-    hessian = tuple((zero,) * i + (zero + 1,) for i in range(arm.n))
-    return Evaluation(zero + jnp.inf, (zero,) * arm.n, hessian, zero, zero, zero)
+    none = jnp.zeros((arm.n, *zero.shape), zero.dtype)
+    hessian = jnp.broadcast_to(_identity(arm, none), (arm.n, *none.shape))
+    return Evaluation(zero + jnp.inf, none, hessian, zero, zero, zero)
+
+
+def _of_joints(x: ArrayInput, like: jax.Array) -> jax.Array:
+    """Numbers of the joints, (n,) or (n, n), with an axis more for each batch axis of `like` (n, ...)."""
+    return jnp.asarray(x).reshape(jnp.shape(x) + (1,) * (like.ndim - 1))
+
+
+def _identity(arm: Arm, like: jax.Array) -> jax.Array:
+    return _of_joints(np.eye(arm.n, dtype=like.dtype), like)
+
+
+def _units(arm: Arm, like: jax.Array) -> Scalar:
+    """The unit of each joint's value: a radian, or a reach of a slide."""
+    if "P" not in arm.kinds:
+        return 1
+    return jnp.where(_slides(arm, like), jnp.asarray(reach(arm), like.dtype), 1)
+
+
+def _slides(arm: Arm, like: jax.Array) -> jax.Array:
+    return _of_joints(np.array([kind == "P" for kind in arm.kinds]), like)
 
 
 def newton_step(arm: Arm, objective: Objective, state: State) -> State:
     """One damped projected Newton step, taken only if it decreases the cost."""
     q, here, damping = state
-    eps, zero = float(jnp.finfo(here.cost.dtype).eps), jnp.zeros_like(here.cost)
+    eps, one = float(jnp.finfo(here.cost.dtype).eps), jnp.ones_like(here.cost)
+    ones = jnp.ones_like(q)
     fixed = active_bounds(arm, q, here.gradient)
-    if objective.fixed is not None:
-        fixed = [bound | other for bound, other in zip(fixed, objective.fixed, strict=True)]
-    free = [pin(jnp.where(f, zero, zero + 1)) for f in fixed]
+    fixed = fixed if objective.fixed is None else fixed | objective.fixed
+    free = pin(jnp.where(fixed, 0, ones))
     floor = jnp.asarray(objective.curvature_floor, here.cost.dtype)
-    descent = [pin(-f * g) for f, g in zip(free, here.gradient, strict=True)]
+    descent = pin(-free * here.gradient)
     # Many an arm's home configuration is a saddle. There the gradient points nowhere, and damping would hide
     # the direction of negative curvature: it is reduced to a hundredth.
-    flat = pin(jnp.where(_squared_norm(descent) < NEARLY_FLAT**2, zero + 1, zero))
+    flat = pin(jnp.where(_squared_norm(descent) < NEARLY_FLAT**2, one, 0))
     push, damped = SADDLE_PUSH * flat, damping * (1 - 0.99 * flat)
     # Rows and columns of fixed joints become those of the identity.
-    matrix = [
-        [pin(free[i] * free[j] * here.hessian[i][j]) for j in range(i)]
-        + [pin(free[i] * (here.hessian[i][i] + damped * (abs(here.hessian[i][i]) + 1e-2)) + (1 - free[i]))]
-        for i in range(arm.n)
-    ]
-    moves = solve_symmetric(matrix, descent, floor, push)
-    largest = functools.reduce(jnp.maximum, map(abs, moves))
+    unit = _identity(arm, q)
+    damped = here.hessian + unit * damped[None, None] * (abs(here.hessian) + 1e-2)
+    matrix = pin(free[:, None] * free[None] * damped + unit * (1 - free)[None])
+    rows = [list(row) for row in matrix]
+    moves = jnp.stack(solve_symmetric(rows, list(descent), floor, push))
+    largest = functools.reduce(jnp.maximum, abs(moves))
     shrink = pin(LARGEST_STEP / jnp.maximum(largest, LARGEST_STEP))
-    size = reach(arm)
-    units = [size if kind == "P" else 1.0 for kind in arm.kinds]
-    trial = tuple(
-        pin(jnp.clip(x + unit * shrink * move, low, high))
-        for x, unit, move, (low, high) in zip(q, units, moves, bounds(arm), strict=True)
-    )
+    trial = pin(jnp.clip(q + _units(arm, q) * shrink[None] * moves, *bounds(arm, q)))
     there = evaluate(arm, objective, trial)
     # Near the minimum two costs differ by their rounding alone: there the gradient decides.
     flatter = _squared_norm(there.gradient) < _squared_norm(here.gradient) / 4
     better = (there.cost < here.cost) | (flatter & (there.cost <= here.cost * (1 + 8 * eps)))
-    better = pin(jnp.where(better, 1.0, 0.0).astype(here.cost.dtype)) > 0.5
-    q, here = jax.tree.map(lambda new, old: jnp.where(better, new, old), (trial, there), (q, here))
+    better = pin(jnp.where(better, one, 0)) > 0.5
+    q, here = choose(better, (trial, there), (q, here))
     eased, stiffened = damping / DAMPING_FACTOR, jnp.maximum(DAMPING_FACTOR * damping, 1e-3)
     return State(q, here, jnp.where(better, eased, stiffened))
 
 
-def _squared_norm(entries) -> Scalar:
-    return sum(x * x for x in entries)
+def choose(first: jax.Array, new: Tree, old: Tree) -> Tree:
+    """The one tree where the flags (...) are set, else the other; leaves may have axes of joints before."""
+
+    def of_leaf(new: jax.Array, old: jax.Array) -> jax.Array:
+        return jnp.where(first.reshape((1,) * (new.ndim - first.ndim) + first.shape), new, old)
+
+    return jax.tree.map(of_leaf, new, old)
 
 
-def evaluate(arm: Arm, objective: Objective, q: Joints) -> Evaluation:
-    """Cost, gradient and Hessian at joints q."""
+def _squared_norm(vector: jax.Array) -> jax.Array:
+    return functools.reduce(jnp.add, vector * vector)
+
+
+def evaluate(arm: Arm, objective: Objective, q: jax.Array) -> Evaluation:
+    """Cost, gradient and Hessian at joints q (n, ...)."""
     per_reach = 1 / reach(arm)
+    # The numbers of the pose are those of one joint, (1, ...).
+    objective = jax.tree.map(lambda x: x[None] if jnp.ndim(x) else x, objective._replace(fixed=None))
     kinematics = chain(arm, q)
     tool = poses.compose(kinematics.last, fixed_pose(arm.tool))
-    tool = jax.tree.map(pin, tool)
-    offset = tuple(map(pin, _offset(arm, kinematics, objective, tool, per_reach)))
+    tool = pin_all(tool)
+    offset = pin_all(_offset(arm, kinematics, objective, tool, per_reach))
     position_weight, angle_weight = objective.position_weight, _angle_weight(arm, objective, per_reach)
     rotation = _rotation_from_goal(objective, tool)
-    twists = [
-        Twist(tuple(pin(times(per_reach, x)) for x in twist.linear), twist.angular)
-        for twist in joint_twists(arm, kinematics, tool.position)
-    ]
+    linear, angular = stacked_twists(arm, kinematics, tool.position, q)
+    linear = pin_all(vector.scale(per_reach, linear))
     # The gradient is J^T (force, torque).
-    force = tuple(pin(times(position_weight, x)) for x in offset)
-    torque = tuple(pin(times(angle_weight, x)) for x in rotation.vector)
-    gradient = [plus(vector.dot(t.linear, force), vector.dot(t.angular, torque)) for t in twists]
-    columns = []
-    for i, twist in enumerate(twists):
-        linear = vector.add(twist.linear, vector.cross(offset, twist.angular))
-        angular = vector.add(rotation.rate(twist.angular), vector.cross(rotation.vector, twist.angular))
-        linear = tuple(pin(times(position_weight, x)) for x in linear)
-        angular = tuple(pin(times(angle_weight, x)) for x in angular)
-        columns.append(
-            [plus(vector.dot(t.linear, linear), vector.dot(t.angular, angular)) for t in twists[i:]]
-        )
-    hessian = [[columns[j][i - j] for j in range(i + 1)] for i in range(arm.n)]
+    force = pin_all(vector.scale(position_weight, offset))
+    torque = pin_all(vector.scale(angle_weight, rotation.vector))
+    gradient = plus(vector.dot(linear, force), vector.dot(angular, torque))
+    # Rates of force and torque for a unit rate of each joint.
+    forces = vector.add(linear, vector.cross(offset, angular))
+    torques = vector.add(rotation.rate(angular), vector.cross(rotation.vector, angular))
+    forces = pin_all(vector.scale(position_weight, forces))
+    torques = pin_all(vector.scale(angle_weight, torques))
+    forces, torques = (tuple(x[None] for x in part) for part in (forces, torques))
+    later, turning = (tuple(x[:, None] for x in part) for part in (linear, angular))
+    hessian = plus(vector.dot(later, forces), vector.dot(turning, torques))
     gradient, hessian = _to_motors(arm, gradient, hessian)
-    distance_squared = pin(vector.dot(offset, offset))
-    angle_squared = pin(vector.dot(rotation.vector, rotation.vector))
-    levers = [
-        1.0 if kind == "P" else vector.dot(twist.linear, twist.linear)
-        for kind, twist in zip(arm.kinds, twists, strict=True)
-    ]
-    return Evaluation(
-        pin(times(position_weight, distance_squared) + angle_weight * angle_squared),
-        tuple(map(pin, gradient)),
-        tuple(tuple(map(pin, row)) for row in hessian),
-        pin(safe.sqrt(distance_squared)),
-        pin(_angle(arm, angle_squared)),
-        pin(functools.reduce(jnp.maximum, levers, jnp.zeros_like(distance_squared))),
+    distance_squared = vector.dot(offset, offset)
+    angle_squared = vector.dot(rotation.vector, rotation.vector)
+    levers = jnp.where(_slides(arm, q), 1, vector.dot(linear, linear))
+    numbers = (
+        times(position_weight, distance_squared) + angle_weight * angle_squared,
+        safe.sqrt(distance_squared),
+        _angle(arm, angle_squared),
     )
+    cost, distance, angle, lever = pin_all((*(x[0] for x in numbers), functools.reduce(jnp.maximum, levers)))
+    return Evaluation(cost, pin(gradient), pin(hessian), distance, angle, lever)
 
 
 def pose_errors(arm: Arm, objective: Objective, q: Joints) -> tuple[Scalar, Scalar, Scalar]:
     """Cost [m^2], distance [m] and angle [rad] at joints q, written so that they can be differentiated."""
     kinematics = chain(arm, q)
-    tool = jax.tree.map(pin, poses.compose(kinematics.last, fixed_pose(arm.tool)))
+    tool = pin_all(poses.compose(kinematics.last, fixed_pose(arm.tool)))
     offset, rotation = _offset(arm, kinematics, objective, tool, 1.0), _rotation_from_goal(objective, tool)
     distance_squared = vector.dot(offset, offset)
     angle_squared = vector.dot(rotation.vector, rotation.vector)
@@ -256,48 +282,43 @@ def _offset(
 def _rotation_from_goal(objective: Objective, tool: Pose) -> poses.RotationVector:
     """The rotation from the goal's orientation to the tool's, in the world frame."""
     matrix = vector.matmul(tool.rotation, vector.transpose(objective.goal.rotation))
-    return poses.rotation_vector(jax.tree.map(pin, matrix))
+    return poses.rotation_vector(pin_all(matrix))
 
 
-def _to_motors(arm: Arm, gradient: list, hessian: list[list]) -> tuple[list, list[list]]:
+def _to_motors(arm: Arm, gradient: jax.Array, hessian: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Derivatives by joint values to derivatives by motor values (entries of q), sliding ones in reaches."""
-    size, n = reach(arm), arm.n
     if arm.coupling is not None:
         # Column i of the coupling says how far each joint moves with motor i.
-        motors = [numbers(arm.coupling[:, i]) for i in range(n)]
-        full = [[hessian[max(i, j)][min(i, j)] for j in range(n)] for i in range(n)]
-        gradient = [dot(motor, gradient) for motor in motors]
-        products = [[dot(row, motor) for row in full] for motor in motors]
-        hessian = [[dot(motors[i], products[j]) for j in range(i + 1)] for i in range(n)]
-    units = [size if kind == "P" else 1 for kind in arm.kinds]
-    gradient = [times(unit, x) for unit, x in zip(units, gradient, strict=True)]
-    hessian = [
-        [times(times(units[i], units[j]), x) for j, x in enumerate(row)] for i, row in enumerate(hessian)
-    ]
-    return gradient, hessian
+        lower = _of_joints(np.tri(arm.n, dtype=bool), gradient)
+        full = jnp.where(lower, hessian, jnp.swapaxes(hessian, 0, 1))
+        shares = jnp.stack([jnp.asarray(array_of(row, gradient.dtype)) for row in arm.coupling])
+        gradient = jnp.tensordot(shares, gradient, (0, 0))
+        hessian = jnp.moveaxis(jnp.tensordot(shares, jnp.tensordot(shares, full, (0, 0)), (0, 1)), 0, 1)
+    units = _units(arm, gradient)
+    if isinstance(units, int):
+        return gradient, hessian
+    return units * gradient, units[:, None] * units[None] * hessian
 
 
-def bounds(arm: Arm) -> list[tuple[Scalar, Scalar]]:
-    """Lower and upper limit of each joint."""
-    return [numbers(arm.limits[i]) for i in range(arm.n)]
+def bounds(arm: Arm, q: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Lower and upper limit of each joint, with as many axes as q (n, ...)."""
+    low, high = (_of_joints(array_of(arm.limits[:, end], q.dtype), q) for end in (0, 1))
+    return low, high
 
 
-def active_bounds(arm: Arm, q: Joints, gradient: tuple[Scalar, ...]) -> list[jax.Array]:
-    """Which joints stand at a limit that the descent would leave."""
-    return [
-        ((x <= low) & (g > 0)) | ((x >= high) & (g < 0))
-        for x, g, (low, high) in zip(q, gradient, bounds(arm), strict=True)
-    ]
+def active_bounds(arm: Arm, q: jax.Array, gradient: jax.Array) -> jax.Array:
+    """Which joints (n, ...) stand at a limit that the descent would leave."""
+    low, high = bounds(arm, q)
+    return ((q <= low) & (gradient > 0)) | ((q >= high) & (gradient < 0))
 
 
-def projected_gradient_norm(arm: Arm, q: Joints, here: Evaluation) -> Scalar:
+def projected_gradient_norm(arm: Arm, q: jax.Array, here: Evaluation) -> Scalar:
     """Norm of the gradient of half the cost over the joints that no active bound holds.
 
     In reaches and radians. A residual of more than one reach divides it: the rounding of the goal is then
     what limits it.
     """
-    active = active_bounds(arm, q, here.gradient)
-    free = [jnp.where(bound, 0, g) for bound, g in zip(active, here.gradient, strict=True)]
+    free = jnp.where(active_bounds(arm, q, here.gradient), 0, here.gradient)
     return safe.norm(*free) / jnp.maximum(1, safe.sqrt(here.cost))
 
 
@@ -320,27 +341,30 @@ def is_above_rounding(arm: Arm, goal: Pose, here: Evaluation, characteristic_len
     return exact & (here.lever_squared + angle_weight > CONVERGED[name])
 
 
-def into_limits(arm: Arm, q: Joints, near: Joints | None = None) -> Joints:
+def into_limits(arm: Arm, q: Joints, near: Joints | None = None) -> jax.Array:
     """The joints moved into the limits: by whole turns where that suffices, else to the nearer limit.
 
     Args:
         arm: The arm.
-        q: Joint values.
+        q: Joint values, each (...).
         near: Joint values that the result shall be nearest to, among those that differ by whole turns. By
             default as few turns as suffice are taken.
+
+    Returns:
+        (n, ...)
     """
-    places = (None,) * arm.n if near is None else near
-    return tuple(
-        _within(x, low, high, whole, place)
-        for x, whole, (low, high), place in zip(q, whole_turns(arm), bounds(arm), places, strict=True)
-    )
+    x, turns = jnp.stack(q), whole_turns(arm)
+    low, high = bounds(arm, x)
+    near = None if near is None else jnp.stack(near)
+    alike = arm.coupling is None and len(set(turns)) == 1
+    whole = turns[0] if alike else _of_joints(jnp.stack([jnp.asarray(turn) for turn in turns]), x)
+    return _within(x, low, high, whole, near)
 
 
-def _within(x: Scalar, low: Scalar, high: Scalar, whole: bool | jax.Array, near: Scalar | None) -> Scalar:
-    """`into_limits` of one joint; `whole` says whether a whole turn of it leaves the pose."""
+def _within(x: jax.Array, low, high, whole: bool | jax.Array, near: jax.Array | None) -> jax.Array:
+    """`into_limits`; `whole` says whether a whole turn of a joint leaves the pose."""
     if whole is False:
         return jnp.clip(x, low, high)
-    low, high = (jnp.asarray(limit, x.dtype) for limit in (low, high))
     middle = jnp.where(jnp.isfinite(low), low + math.pi, jnp.where(jnp.isfinite(high), high - math.pi, 0))
     middle = jnp.where(jnp.isfinite(low) & jnp.isfinite(high), low / 2 + high / 2, middle)
     x = jnp.where(jnp.isfinite(x), x, middle)

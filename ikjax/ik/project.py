@@ -14,12 +14,14 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from ikjax.arm.arm import Arm
-from ikjax.core.xla import as_array, is_traced, stop_gradient
+from ikjax.core.xla import as_array, is_traced
 from ikjax.ik.batched import FEW
 from ikjax.ik.inline import jit_with_arm
 from ikjax.ik.lexicographic import checked_priority
 from ikjax.ik.multistart import (
     STEPS,
+    branch_starts,
+    branches_and_limits,
     checked_arguments,
     descend_all,
     scattered_starts,
@@ -108,15 +110,19 @@ class Options(NamedTuple):
 @functools.cache
 def _of_one_goal(options: Options) -> Callable[[Arm, ArrayLike, ArrayLike], Projection]:
     """The program of one goal, with a while loop that ends when all its starts have converged."""
-    return jit_with_arm(functools.partial(_project, options))
+    return jit_with_arm(functools.partial(_project, options), quick=True)
 
 
 def _project(options: Options, arm: Arm, goals: jax.Array, length: jax.Array) -> Projection:
     """`project` of checked arguments."""
     priority, steps, count = options
     batch = goals.shape[:-2]
-    extra = starts_at_limits(arm, goals) if count is None else scattered_starts(arm, batch, count)
-    return with_best(arm, goals, _descend(arm, goals, length, steps, extra, priority), priority)
+    if count is None and is_traced((arm, goals, length)):
+        ends = descend_all(arm, goals, branches_and_limits(arm, goals), length, steps, priority)
+    else:
+        extra = starts_at_limits(arm, goals) if count is None else scattered_starts(arm, batch, count)
+        ends = _descend(arm, goals, length, steps, extra, priority)
+    return with_best(arm, goals, ends, priority)
 
 
 def _further_starts(arm: Arm, steps: int, count: int | None, priority: str) -> int | None:
@@ -150,9 +156,7 @@ def _descend(
         return descend_all(arm, goals, extra, characteristic_length, steps, priority)
     if steps and (priority != "weighted" or is_traced((arm, goals, extra, characteristic_length))):
         # All starts in one program: two copies of the descent would compile twice as long.
-        fixed = stop_gradient((arm, goals, characteristic_length))
-        closed_form = descend_all(*fixed[:2], None, fixed[2], 0).q
-        starts = jnp.concatenate([closed_form, extra], axis=-2)
+        starts = jnp.concatenate([branch_starts(arm, goals), extra], axis=-2)
         return descend_all(arm, goals, starts, characteristic_length, steps, priority)
     branches = descend_all(arm, goals, None, characteristic_length, steps)
     if not extra.shape[-2]:

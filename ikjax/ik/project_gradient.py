@@ -97,24 +97,24 @@ def _implicit_jvp(priority: str, known: tuple, primals, tangents):
     leaves, goals, q, length, converged = primals
     # Applied again, so that q moves with the goal in derivatives of second order.
     q = _implicit(priority, known, leaves, goals, q, length, converged)
-    arm, columns = Arm.join(known, leaves), _columns(q)
+    arm, joints = Arm.join(known, leaves), jnp.moveaxis(q, -1, 0)
+    joints = jnp.moveaxis(joints, -1, 1)
 
     def evaluate(leaves, goals):
         varied = dataclasses.replace(Arm.join(known, leaves), limits=arm.limits)
         goal, _ = _nearest_goal(varied, goals)
-        with pinning(divider_once(columns[0])):
-            return newton.evaluate(varied, objective_of(varied, goal, length, priority), columns)
+        with pinning(divider_once(joints[:1])):
+            return newton.evaluate(varied, objective_of(varied, goal, length, priority), joints)
 
     here, rate = jax.jvp(evaluate, (leaves, goals), tangents[:2])
-    active = newton.active_bounds(arm, columns, here.gradient)
     unconverged = ~jnp.moveaxis(converged, -1, 0)
-    fixed = [bound | unconverged for bound in active]
+    fixed = newton.active_bounds(arm, joints, here.gradient) | unconverged[None]
     # Rows and columns of fixed joints become those of the identity.
     matrix = [
         [jnp.where(fixed[i] | fixed[j], 0, row[j]) for j in range(i)] + [jnp.where(fixed[i], 1, row[i])]
         for i, row in enumerate(here.hessian)
     ]
-    right = [jnp.where(f, 0, -g) for f, g in zip(fixed, rate.gradient, strict=True)]
+    right = list(jnp.where(fixed, 0, -rate.gradient))
     floor = jnp.finfo(q.dtype).eps ** 0.5 * (
         1.0 if priority == "weighted" else LAST_WEIGHT[q.dtype.name] ** 0.5
     )

@@ -345,10 +345,12 @@ def proposed(arm: Arm, goal: Pose, free: tuple[Scalar, ...] = ()) -> list[tuple[
     return [motors(_whole(arm, _joint_values(frame, branch.joints), free)) for branch in branches]
 
 
-def proposed_at_limits(arm: Arm, goal: Pose) -> list[tuple[Scalar, ...]]:
-    """As `proposed`, with one joint locked at one of its limits.
+def proposed_at_limits(arm: Arm, goal: Pose) -> tuple[tuple[jax.Array, ...], int]:
+    """As `proposed`, and with one joint locked at one of its limits, for a family that locks some.
 
-    None where the family locks no joint, or where these joints have no limits.
+    Returns:
+        Joints, each (S, ...), and how many of S are those of `proposed`, which come first. Joints that can be
+        locked but have no limits are not locked.
     """
     family, limits = FAMILIES[str(arm.family)], {}
     for joint in family.lockable:
@@ -358,12 +360,17 @@ def proposed_at_limits(arm: Arm, goal: Pose) -> list[tuple[Scalar, ...]]:
         limits[joint] = [
             known_sincos(x if isinstance(x, float) else jnp.where(jnp.isfinite(x), x, 0)) for x in angles
         ]
-    if family.locked is None or not any(limits.values()):
-        return []
     frame, tip, setting = _prepared(arm, goal, None)
-    motors = _motors(arm)
-    ways = family.locked(arm.signs, frame.links, tip, setting, limits)
-    return [motors(_joint_values(frame, joints)) for joints in ways]
+    motors, shape = _motors(arm), goal.position[0].shape
+
+    def flat(joints: Joints) -> list[jax.Array]:
+        values = motors(_joint_values(frame, joints))
+        whole = jnp.broadcast_shapes(*map(jnp.shape, values))
+        whole = (*whole[: len(whole) - len(shape)], *shape)
+        return [pin(jnp.broadcast_to(x, whole)).reshape(-1, *shape) for x in values]
+
+    ways = [flat(joints) for joints in family.locked(arm.signs, frame.links, tip, setting, limits)]
+    return tuple(jnp.concatenate(parts) for parts in zip(*ways, strict=True)), ways[0][0].shape[0]
 
 
 def _whole(arm: Arm, solved: tuple, locked: tuple) -> tuple:

@@ -42,7 +42,7 @@ def columns(q):
 
 def evaluate(arm, goals, q):
     objective = newton.Objective(poses.from_matrix(jnp.asarray(goals)), LENGTH)
-    return newton.evaluate(arm, objective, columns(q))
+    return newton.evaluate(arm, objective, jnp.moveaxis(jnp.asarray(q), -1, 0))
 
 
 @pytest.mark.parametrize("angle", [0, 1e-12, 1e-5, 1, 3, np.pi - 1e-9, np.pi])

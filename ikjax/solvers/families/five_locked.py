@@ -1,6 +1,7 @@
-"""The `five_axis` arms with joint 2 or 4 locked at a limit, for a goal that they need not reach.
+"""The `five_axis` arms for a goal that they need not reach: free, and with joint 2 or 4 locked at a limit.
 
-Branches: those of `five_axis` for each joint and limit. Frames and signs are the same.
+Branches: those of `five_nearest`, and those of `five_axis` for each joint and limit. Frames and signs are the
+same.
 
 Where the nearest pose is not within the joint limits, the nearest one that is has a joint at a limit, as a
 rule joint 2 or 4. The point is attained all the same: because the pitch is free, two links reach the foot of
@@ -19,8 +20,6 @@ Bits: front or back as in `five_axis`; then left or right: the bend of the trian
 
 Source: ours.
 """
-
-import itertools
 
 import jax
 import jax.numpy as jnp
@@ -49,9 +48,12 @@ def branches(
     setting: Setting,
     limits: dict[int, list[SinCos]],
 ) -> list[Joints]:
-    """Joints of both sides and both bends, for every limit of every joint; `limits` are DH angles.
+    """Joints of both sides and both bends, (limits, bends, sides, ...).
 
-    Sides, bends and limits are leading axes of one array, so that a program contains the steps once.
+    First those of `five_nearest`, with one limit in the place of none. Then those of each joint in `limits`,
+    which are DH angles.
+
+    Limits, bends and sides are leading axes of one array, so that a program contains the steps once.
     """
     like = goal.position[0]
     goal = jax.tree.map(lambda x: jnp.asarray(x)[None, None, None], goal)
@@ -62,22 +64,30 @@ def branches(
 
     side = along(2, [1, -1]) * safe.sign(links[0].a)
     hand = hand_of(signs, links, goal, side, setting)
-    answers = []
+    bends = along(1, [1, -1])
+    answers = [_free(signs, links, hand, setting, side * bends)]
     for joint, angles in limits.items():
         if not angles:
             continue
         sine, cosine = (along(0, list(x)) for x in zip(*angles, strict=True))
-        bent = _bent(signs, links, hand, setting, joint, (sine, cosine), along(1, [1, -1]))
+        bent = _bent(signs, links, hand, setting, joint, (sine, cosine), bends)
         shoulder, elbow, pitch = ((pin(x), pin(y)) for x, y in bent)
         roll = setting.angle(*roll_of(signs, hand.rotation, pitch, links[3], setting))
         # Its margin is not used.
         arm = Triangle(shoulder[0], shoulder[1], elbow[0], elbow[1], jnp.inf, False)
-        joints = joints_of(signs, hand.base, arm, pitch, roll, setting)
-        shape = (len(angles), 2, 2, *like.shape)
-        joints = jax.tree.map(lambda x, shape=shape: jnp.broadcast_to(x, shape), joints)
-        for which in itertools.product(range(len(angles)), range(2), range(2)):
-            answers.append(jax.tree.map(lambda x, which=which: x[which], joints))
+        answers.append(joints_of(signs, hand.base, arm, pitch, roll, setting))
     return answers
+
+
+def _free(
+    signs: FiveAxisSigns, links: tuple[Link, ...], hand: Hand, setting: Setting, side: Scalar
+) -> Joints:
+    """The branches of `five_nearest`; `side` is the side of joint 1 times the height of the elbow."""
+    _, two, three, four = links[:4]
+    ahead, aside = turned(wrist_of(signs, four, setting), hand.pitch)
+    (x, y), left = hand.foot, signs.up * signs.sin_alpha1 * side
+    arm = triangle(x - ahead, y - aside, two.a, three.a, left, setting)
+    return joints_of(signs, hand.base, arm, hand.pitch, setting.angle(*hand.roll), setting)
 
 
 def _bent(
