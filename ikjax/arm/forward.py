@@ -213,12 +213,11 @@ def chain(arm: Arm, q: tuple[Scalar, ...] | jax.Array) -> Chain:
 
 def _joint_values(arm: Arm, table: tuple[Link, ...], q: tuple[Scalar, ...] | jax.Array) -> list[Joint]:
     """The value of each joint, its sine and cosine pinned."""
-    stacked = isinstance(q, jax.Array)
-    values = coupled(arm, tuple(q[i : i + 1] for i in range(arm.n)) if stacked else q)
+    values = coupled(arm, tuple(q[i : i + 1] for i in range(arm.n)) if isinstance(q, jax.Array) else q)
     pairs = list(zip(table, values, strict=True))
     angles = [link.theta + value if link.kind == "R" else link.theta for link, value in pairs]
     slides = [link.d + value if link.kind == "P" else link.d for link, value in pairs]
-    if not stacked or set(arm.kinds) != {"R"}:
+    if isinstance(q, tuple) or set(arm.kinds) != {"R"}:
         turns = [known_sincos(x) if isinstance(x, float) else sincos(x) for x in angles]
         return [Joint(pin(s), pin(c), d) for (s, c), d in zip(turns, slides, strict=True)]
     # The sines of all joints are one computation.

@@ -79,8 +79,21 @@ def map_rows(block: Callable[..., Any], arm: Arm, inputs, batch: tuple[int, ...]
     inputs = jax.tree.map(lambda x: rows(np.asarray(x)), inputs)
     if count == 1:
         return _few_program()(block, known, batch, rest, inputs)
-    inputs = jax.tree.map(lambda x: np.pad(x, [(0, FEW - count), *[(0, 0)] * (x.ndim - 1)]), inputs)
-    return _first_rows(_few_program()(block, known, (FEW,), rest, inputs), batch)
+    return _first_rows(_padded_to_few(block, known, rest, inputs), batch)
+
+
+def map_few(block: Callable[..., Any], arm: Arm, inputs):
+    """`map_blocks` of up to `FEW` rows, with one program for any number of them."""
+    known, rest = parts(arm)
+    count = jax.tree.leaves(inputs)[0].shape[0]
+    result = _padded_to_few(block, known, rest, jax.tree.map(np.asarray, inputs))
+    return jax.tree.map(lambda x: x[:count], result)
+
+
+def _padded_to_few(block: Callable[..., Any], known, rest, inputs):
+    """The rows of a block of `FEW`, of inputs that may have fewer."""
+    inputs = jax.tree.map(lambda x: np.pad(x, [(0, FEW - len(x)), *[(0, 0)] * (x.ndim - 1)]), inputs)
+    return _few_program()(block, known, (FEW,), rest, inputs)
 
 
 @functools.cache

@@ -1,7 +1,7 @@
 """Multistart descent to the nearest pose: the starts, the descent of each, and the choice of the best.
 
 The starts are the branches of the closed form. Limits, and joints too few, make basins that no branch leads
-to: further starts have a joint at a limit (`starts_at_limits`) or are spread over the limits
+to: further starts have a joint at a limit (`branches_and_limits`) or are spread over the limits
 (`scattered_starts`). Each start takes Newton steps (`ik.newton`), in stages where one error comes first
 (`ik.lexicographic`).
 
@@ -10,7 +10,7 @@ Called eagerly, all starts take a few steps, and only those that have not conver
 """
 
 import dataclasses
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -27,7 +27,6 @@ from ikjax.core.xla import (
     as_array,
     divider_once,
     is_traced,
-    one_by_one,
     pinning,
     stop_gradient,
     to_columns,
@@ -48,6 +47,9 @@ STEPS = 60
 FIRST_STEPS = 6
 """Steps that every start of an eager call takes. Those that have not converged take as many again, and so
 on."""
+
+LARGEST_ROUND = 2**20
+"""Starts of an eager call that are descended at a time, about; each holds its goal."""
 
 FIELDS = ("cost", "position_error", "rotation_error", "gradient_norm", "converged")
 
@@ -89,64 +91,51 @@ def closed_form_starts(arm: Arm, goal: Pose, policy: Pin, free: Joints = ()) -> 
     return tuple(jnp.stack([jnp.broadcast_to(x, shape) for x in column]) for column in columns)
 
 
-def starts_at_limits(arm: Arm, goals: jax.Array) -> jax.Array:
-    """Starts with a joint at a limit by the closed form, (..., S, n), for an arm whose family has them.
+def branches_and_limits(arm: Arm, goals: jax.Array) -> jax.Array:
+    """The branches and starts with a joint at a limit, (..., S, n), for an arm whose family has these.
 
     Each joint that the family can fix is put at each of its limits, with every branch of the rest. Each of
     these, and each branch, is taken once more with the last joint at the limit that is farther off: there is
     a basin on both sides of the gap in its range.
     """
+    return _starts_of(arm, goals, limits=True)
+
+
+def branches(arm: Arm, goals: jax.Array) -> jax.Array:
+    """The branches of the closed form, (..., S, n)."""
+    return _starts_of(arm, goals, limits=False)
+
+
+def _starts_of(arm: Arm, goals: jax.Array, limits: bool) -> jax.Array:
     if not is_traced((arm, goals)):
-        starts = batched.map_blocks(_StartsAtLimitsBlock(), arm, goals.reshape(-1, 4, 4))
+        starts = batched.map_blocks(_StartsBlock(limits), arm, goals.reshape(-1, 4, 4))
         return starts.reshape(*goals.shape[:-2], *starts.shape[1:])
-    q, branches = _near_limits(*_known(arm, goals))
-    return _starts_last(q)[..., branches:, :]
-
-
-def branches_and_limits(arm: Arm, goals: jax.Array) -> jax.Array:
-    """The branches of the closed form and `starts_at_limits`, (..., S, n), in a trace.
-
-    In one program: the second ones are made of the first.
-    """
-    return _starts_last(_near_limits(*_known(arm, goals))[0])
-
-
-def branch_starts(arm: Arm, goals: jax.Array) -> jax.Array:
-    """The branches of the closed form, (..., S, n), in a trace."""
-    arm, entries = _known(arm, goals)
-    goal, _, policy = nearest_goal(arm, entries)
-    return _starts_last(closed_form_starts(arm, goal, policy))
-
-
-def _known(arm: Arm, goals: jax.Array) -> tuple[Arm, Entries]:
-    """The arm and the entries of goals (..., 4, 4), without derivatives."""
     arm, goals = stop_gradient((arm, goals))
-    return arm.baked(), entries_of(goals)
-
-
-def _starts_last(q: Joints) -> jax.Array:
-    """Joints, each (S, ...), as one array (..., S, n)."""
+    q = _columns_of(arm.baked(), entries_of(goals), limits)
     return jnp.moveaxis(jnp.stack(q, axis=-1), 0, -2)
 
 
 @dataclasses.dataclass(frozen=True)
-class _StartsAtLimitsBlock:
-    """`starts_at_limits` of one block of goals."""
+class _StartsBlock:
+    """The branches of one block of goals, or those and the starts at limits."""
+
+    limits: bool
 
     def __call__(self, arm: Arm, goals: jax.Array) -> jax.Array:
-        q, branches = _near_limits(arm, batched.entries_in(goals))
+        q = _columns_of(arm, batched.entries_in(goals), self.limits)
         count = q[0].shape[0]
-        rows = to_rows([x[s] for s in range(branches, count) for x in q], goals.shape[0])
-        return rows.reshape(-1, count - branches, arm.n)
+        return to_rows([x[s] for s in range(count) for x in q], goals.shape[0]).reshape(-1, count, arm.n)
 
 
-def _near_limits(arm: Arm, entries: Entries) -> tuple[Joints, int]:
-    """The branches and the starts with a joint at a limit, each joint (S, ...); how many are branches."""
+def _columns_of(arm: Arm, entries: Entries, limits: bool) -> Joints:
+    """The branches, or those and the starts at limits, each joint (S, ...)."""
     goal, _, policy = nearest_goal(arm, entries)
+    if not limits:
+        return closed_form_starts(arm, goal, policy)
     with pinning(policy):
-        q, branches = proposed_at_limits(arm, goal)
+        q = proposed_at_limits(arm, goal)
         across = policy(_farther_limit(q[-1], *numbers(arm.limits[-1])))
-    return (*(jnp.concatenate([x, x]) for x in q[:-1]), jnp.concatenate([q[-1], across])), branches
+    return (*(jnp.concatenate([x, x]) for x in q[:-1]), jnp.concatenate([q[-1], across]))
 
 
 def _farther_limit(x: Scalar, low: Scalar, high: Scalar) -> Scalar:
@@ -198,7 +187,7 @@ def scattered_starts(arm: Arm, batch: tuple[int, ...], count: int) -> jax.Array:
 def descend_all(
     arm: Arm,
     goals: jax.Array,
-    starts: jax.Array | None,
+    starts: jax.Array,
     characteristic_length: ArrayLike,
     steps: int,
     priority: str = "weighted",
@@ -208,7 +197,7 @@ def descend_all(
     Args:
         arm: The arm, baked and in the type of the goals.
         goals: T_world_tool, (..., 4, 4).
-        starts: (..., S, n); None for the branches of the closed form.
+        starts: (..., S, n).
         characteristic_length: Length that counts as much as one radian [m].
         steps: Newton steps at most, of each stage.
         priority: See `refine`.
@@ -220,18 +209,29 @@ def descend_all(
     if not is_traced((arm, goals, starts, length)):
         return _descend_in_blocks(arm, goals, starts, length, steps, priority)
     fixed_arm, fixed_goals, fixed_starts, fixed_length = stop_gradient((arm, goals, starts, length))
-    fixed_arm = fixed_arm.baked()
-    columns = None if fixed_starts is None else tuple(fixed_starts[..., i] for i in range(arm.n))
-    if columns is not None:
-        columns = tuple(jnp.moveaxis(x, -1, 0) for x in columns)
-    entries = entries_of(fixed_goals)
-    if columns is None and steps == 0:
-        slots = closed_form(fixed_arm, entries, fixed_length)
-        ends = jax.tree.map(lambda *slots: jnp.stack(slots), *slots)
-    else:
-        goal, proper, policy = nearest_goal(fixed_arm, entries)
-        columns = closed_form_starts(fixed_arm, goal, policy) if columns is None else columns
-        ends = descend_starts(fixed_arm, goal, proper, columns, fixed_length, steps, None, priority)
+    fixed_arm, entries = fixed_arm.baked(), entries_of(fixed_goals)
+    goal, proper, _ = nearest_goal(fixed_arm, entries)
+    columns = tuple(jnp.moveaxis(fixed_starts, (-1, -2), (0, 1)))
+    ends = descend_starts(fixed_arm, goal, proper, columns, fixed_length, steps, None, priority)
+    return _in_trace(arm, goals, length, ends, priority)
+
+
+def closed_form_ends(arm: Arm, goals: jax.Array, characteristic_length: ArrayLike) -> Projection:
+    """Every branch of the closed form, moved into the limits and measured; as `descend_all` without steps."""
+    length = as_array(characteristic_length, goals.dtype)
+    if not is_traced((arm, goals, length)):
+        rows = goals.reshape(-1, 4, 4)
+        inputs = rows, jnp.broadcast_to(length, rows.shape[:1])
+        ends = batched.map_blocks(_ClosedFormBlock(), arm, inputs)
+        return _as_projection(ends, goals.shape[:-2])
+    fixed_arm, fixed_goals, fixed_length = stop_gradient((arm, goals, length))
+    slots = closed_form(fixed_arm.baked(), entries_of(fixed_goals), fixed_length)
+    ends = jax.tree.map(lambda *slots: jnp.stack(slots), *slots)
+    return _in_trace(arm, goals, length, ends, "weighted")
+
+
+def _in_trace(arm: Arm, goals: jax.Array, length: jax.Array, ends: "Descent", priority: str) -> Projection:
+    """Where starts ended, fields (..., S), differentiable in the arm and the goals."""
     shape = ends.cost.shape
 
     def starts_last(x):
@@ -249,77 +249,83 @@ def descend_all(
 
 
 def _descend_in_blocks(
-    arm: Arm, goals: jax.Array, starts: jax.Array | None, length, steps: int, priority: str
+    arm: Arm, goals: jax.Array, starts: jax.Array, length, steps: int, priority: str
 ) -> Projection:
     """`descend_all` of an eager call, arguments as there: without derivatives, and in rounds."""
-    batch, goals = goals.shape[:-2], goals.reshape(-1, 4, 4)
-    length = jnp.broadcast_to(length, (goals.shape[0], 1))
-    if starts is None and steps == 0:
-        ends = batched.map_blocks(_ClosedFormBlock(), arm, (goals, length))
-        return Projection(**{name: x.reshape(*batch, *x.shape[1:]) for name, x in ends.items()})
-    if starts is not None:
-        starts = starts.reshape(-1, *starts.shape[-2:])
-    first = jnp.full(length.shape, min(steps, FIRST_STEPS), jnp.int32)
-    block = _DescentBlock(priority)
-    ends = batched.map_blocks(block, arm, (goals, length, first, starts, None))
-    done = FIRST_STEPS
+    batch, count = starts.shape[:-1], starts.shape[-2]
+    goals, starts = goals.reshape(-1, 4, 4), starts.reshape(-1, count, arm.n)
+    # A row is a goal and one of its starts, so that all rounds are one program. Some goals at a time, because
+    # each is repeated for its starts.
+    chunk = max(1, LARGEST_ROUND // count)
+    parts = []
+    for first in range(0, max(1, goals.shape[0]), chunk):
+        repeated = jnp.repeat(goals[first : first + chunk], count, axis=0)
+        rows = starts[first : first + chunk].reshape(-1, arm.n)
+        parts.append(_descend_rows(arm, repeated, rows, length, steps, priority))
+    return _as_projection(jax.tree.map(lambda *parts: np.concatenate(parts), *parts), batch)
+
+
+def _as_projection(fields: dict[str, Any], batch: tuple[int, ...]) -> Projection:
+    """Fields (N, ...) with the batch's axes."""
+    shaped: dict[str, Any] = {k: jnp.asarray(x).reshape(*batch, *x.shape[1:]) for k, x in fields.items()}
+    return Projection(**shaped)
+
+
+def _descend_rows(
+    arm: Arm, goals: jax.Array, q: jax.Array, length, steps: int, priority: str
+) -> dict[str, np.ndarray]:
+    """Goals (N, 4, 4), each from joints (N, n), after their descent: fields (N, ...) of `Projection`."""
+    block, few = _DescentBlock(priority), q.shape[0] <= batched.FEW
+
+    def taken(goals, q, damping, steps: int) -> dict[str, np.ndarray]:
+        numbers = [jnp.full(damping.shape, x, dtype) for x, dtype in ((length, q.dtype), (steps, np.int32))]
+        rows = batched.map_few if few else batched.map_blocks
+        return jax.tree.map(np.array, rows(block, arm, (goals, *numbers, q, damping)))
+
+    done = min(steps, FIRST_STEPS)
+    ends = taken(goals, q, jnp.full(q.shape[:1], newton.FIRST_DAMPING, q.dtype), done)
     while done < steps:
-        unfinished = np.nonzero(~np.asarray(ends["converged"]))
-        if not unfinished[0].size:
+        (rows,) = np.nonzero(~ends["converged"])
+        if not rows.size:
             break
         # Few starts are left after each round, and all of a block take as many steps.
         more = done if 3 * done < steps else steps - done
-        row, slot = (jnp.asarray(x) for x in unfinished)
-        q, damping = ends["q"][row, slot][:, None], ends["damping"][row, slot][:, None]
-        round_steps = jnp.full((*row.shape, 1), more, jnp.int32)
-        rest = batched.map_blocks(block, arm, (goals[row], length[row], round_steps, q, damping))
-        ends = {name: x.at[row, slot].set(rest[name][:, 0]) for name, x in ends.items()}
+        rest = taken(goals[rows], ends["q"][rows], ends["damping"][rows], more)
+        for name, x in rest.items():
+            ends[name][rows] = x
         done += more
     del ends["damping"]
-    return Projection(**{name: x.reshape(*batch, *x.shape[1:]) for name, x in ends.items()})
+    return ends
 
 
 @dataclasses.dataclass(frozen=True)
 class _DescentBlock:
-    """All starts of one block of goals.
+    """The descents of one block of goals.
 
-    Its rows are goals (N, 4, 4), the characteristic length (N, 1) and the steps (N, 1), alike in all rows,
-    the starts (N, S, n) or None for the branches, and their damping (N, S) or None for the first one.
+    Its rows are goals (N, 4, 4), the characteristic length (N,), the steps (N,), which are alike in all rows,
+    joints (N, n), and their damping (N,).
     """
 
     priority: str
 
     def __call__(self, arm: Arm, rows) -> dict[str, jax.Array]:
         goals, length, steps, starts, damping = rows
-        entries = batched.entries_in(goals)
-        if starts is not None:
-            spread = to_columns(starts).reshape(*starts.shape[1:], -1)
-            starts = tuple(spread[:, i] for i in range(arm.n))
-            damping = None if damping is None else to_columns(damping)
-        goal, proper, policy = nearest_goal(arm, entries)
-        starts = closed_form_starts(arm, goal, policy) if starts is None else starts
-
-        def descend_one(start):
-            q, damping = jax.tree.map(lambda x: x[None], start)
-            row_length = length[None, :, 0]
-            end = descend_starts(arm, goal, proper, q, row_length, steps[0, 0], damping, self.priority)
-            return jax.tree.map(lambda x: x[0], end)
-
-        ends = one_by_one(descend_one, (starts, damping))
-        count = ends.cost.shape[0]
-        fields = {name: to_rows(list(getattr(ends, name)), goals.shape[0]) for name in (*FIELDS, "damping")}
-        q = to_rows([x[s] for s in range(count) for x in ends.q], goals.shape[0])
-        return {**fields, "q": q.reshape(-1, count, arm.n)}
+        goal, proper, _ = nearest_goal(arm, batched.entries_in(goals))
+        columns = to_columns(starts)
+        q = tuple(columns[i : i + 1] for i in range(arm.n))
+        end = descend_starts(arm, goal, proper, q, length[None], steps[0], damping[None], self.priority)
+        fields = {name: getattr(end, name)[0] for name in (*FIELDS, "damping")}
+        return {**fields, "q": to_rows([x[0] for x in end.q], goals.shape[0])}
 
 
 @dataclasses.dataclass(frozen=True)
 class _ClosedFormBlock:
-    """The closed form alone, of one block of goals (N, 4, 4) with their characteristic length (N, 1)."""
+    """The closed form alone, of one block of goals (N, 4, 4) with their characteristic length (N,)."""
 
     def __call__(self, arm: Arm, rows) -> dict[str, jax.Array]:
         goals, length = rows
         entries = batched.entries_in(goals)
-        slots = closed_form(arm, entries, length[:, 0])
+        slots = closed_form(arm, entries, length)
         fields = {name: to_rows([getattr(slot, name) for slot in slots], goals.shape[0]) for name in FIELDS}
         q = to_rows([x for slot in slots for x in slot.q], goals.shape[0])
         return {**fields, "q": q.reshape(-1, len(slots), arm.n)}
@@ -381,9 +387,9 @@ def descend_starts(
         priority: See `refine`.
     """
     goal = jax.tree.map(lambda x: x[None], goal)
-    starts = newton.into_limits(arm, starts)
+    inside = newton.into_limits(arm, starts)
     return _descend_within_limits(
-        arm, goal, proper[None], starts, characteristic_length, steps, damping, priority, None
+        arm, goal, proper[None], inside, characteristic_length, steps, damping, priority, None
     )
 
 

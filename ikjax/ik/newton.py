@@ -44,7 +44,6 @@ from ikjax.core.linear import solve_symmetric
 from ikjax.core.pose import Pose
 from ikjax.core.tolerances import CONVERGED, CURVATURE_FLOOR, NEARLY_FLAT, SADDLE_PUSH
 from ikjax.core.trig import Scalar
-from ikjax.core.typing import ArrayInput
 from ikjax.core.vector import plus, times
 from ikjax.core.xla import divider_once, pin, pin_all, pinning
 from ikjax.ik.turns import nearest_turn
@@ -142,7 +141,7 @@ def worst_evaluation(arm: Arm, zero: Scalar) -> Evaluation:
     return Evaluation(zero + jnp.inf, none, hessian, zero, zero, zero)
 
 
-def _of_joints(x: ArrayInput, like: jax.Array) -> jax.Array:
+def _of_joints(x: np.ndarray | jax.Array, like: jax.Array) -> jax.Array:
     """Numbers of the joints, (n,) or (n, n), with an axis more for each batch axis of `like` (n, ...)."""
     return jnp.asarray(x).reshape(jnp.shape(x) + (1,) * (like.ndim - 1))
 
@@ -355,10 +354,9 @@ def into_limits(arm: Arm, q: Joints, near: Joints | None = None) -> jax.Array:
     """
     x, turns = jnp.stack(q), whole_turns(arm)
     low, high = bounds(arm, x)
-    near = None if near is None else jnp.stack(near)
     alike = arm.coupling is None and len(set(turns)) == 1
     whole = turns[0] if alike else _of_joints(jnp.stack([jnp.asarray(turn) for turn in turns]), x)
-    return _within(x, low, high, whole, near)
+    return _within(x, low, high, whole, None if near is None else jnp.stack(near))
 
 
 def _within(x: jax.Array, low, high, whole: bool | jax.Array, near: jax.Array | None) -> jax.Array:

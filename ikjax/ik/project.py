@@ -20,12 +20,12 @@ from ikjax.ik.inline import jit_with_arm
 from ikjax.ik.lexicographic import checked_priority
 from ikjax.ik.multistart import (
     STEPS,
-    branch_starts,
+    branches,
     branches_and_limits,
     checked_arguments,
+    closed_form_ends,
     descend_all,
     scattered_starts,
-    starts_at_limits,
     with_best,
 )
 from ikjax.ik.results import Projection
@@ -117,11 +117,12 @@ def _project(options: Options, arm: Arm, goals: jax.Array, length: jax.Array) ->
     """`project` of checked arguments."""
     priority, steps, count = options
     batch = goals.shape[:-2]
-    if count is None and is_traced((arm, goals, length)):
-        ends = descend_all(arm, goals, branches_and_limits(arm, goals), length, steps, priority)
-    else:
-        extra = starts_at_limits(arm, goals) if count is None else scattered_starts(arm, batch, count)
-        ends = _descend(arm, goals, length, steps, extra, priority)
+    if steps == count == 0 and _has_branches(arm):
+        return with_best(arm, goals, closed_form_ends(arm, goals, length), priority)
+    starts = [] if count is None else [scattered_starts(arm, batch, count)]
+    if _has_branches(arm):
+        starts.insert(0, branches_and_limits(arm, goals) if count is None else branches(arm, goals))
+    ends = descend_all(arm, goals, jnp.concatenate(starts, axis=-2), length, steps, priority)
     return with_best(arm, goals, ends, priority)
 
 
@@ -146,21 +147,3 @@ def _branches_may_miss(arm: Arm) -> bool:
     if arm.task == "pose" and FAMILIES[str(arm.family)].nearest is None:
         return True
     return isinstance(arm.limits, jax.core.Tracer) or bool(np.isfinite(np.asarray(arm.limits)).any())
-
-
-def _descend(
-    arm: Arm, goals: jax.Array, characteristic_length, steps: int, extra: jax.Array, priority: str
-) -> Projection:
-    """All branches and the extra starts after their descent, fields (..., S)."""
-    if not _has_branches(arm):
-        return descend_all(arm, goals, extra, characteristic_length, steps, priority)
-    if steps and (priority != "weighted" or is_traced((arm, goals, extra, characteristic_length))):
-        # All starts in one program: two copies of the descent would compile twice as long.
-        starts = jnp.concatenate([branch_starts(arm, goals), extra], axis=-2)
-        return descend_all(arm, goals, starts, characteristic_length, steps, priority)
-    branches = descend_all(arm, goals, None, characteristic_length, steps)
-    if not extra.shape[-2]:
-        return branches
-    rest = descend_all(arm, goals, extra, characteristic_length, steps)
-    axis = goals.ndim - 2
-    return jax.tree.map(lambda x, y: jnp.concatenate([x, y], axis), branches, rest)

@@ -108,9 +108,9 @@ def _follow_one(
     columns = tuple(q[..., i] for i in range(arm.n))
     starts = closed_form_starts(arm, pose, policy, tuple(columns[i] for i in arm.locked))
     own_start = tuple(x[None] for x in columns)
-    starts = newton.into_limits(arm, starts, own_start)
+    inside = newton.into_limits(arm, starts, own_start)
     # The first start is the arm's own joints.
-    starts = tuple(jnp.concatenate([x, y]) for x, y in zip(own_start, starts, strict=True))
+    starts = tuple(jnp.concatenate([x, y]) for x, y in zip(own_start, inside, strict=True))
     ends = descend_starts(arm, pose, proper, starts, characteristic_length, steps, None)
     values = newton.into_limits(arm, ends.q, own_start)
     moves = functools.reduce(jnp.maximum, [abs(x - y) for x, y in zip(values, own_start, strict=True)])

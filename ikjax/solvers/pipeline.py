@@ -345,14 +345,15 @@ def proposed(arm: Arm, goal: Pose, free: tuple[Scalar, ...] = ()) -> list[tuple[
     return [motors(_whole(arm, _joint_values(frame, branch.joints), free)) for branch in branches]
 
 
-def proposed_at_limits(arm: Arm, goal: Pose) -> tuple[tuple[jax.Array, ...], int]:
+def proposed_at_limits(arm: Arm, goal: Pose) -> tuple[jax.Array, ...]:
     """As `proposed`, and with one joint locked at one of its limits, for a family that locks some.
 
     Returns:
-        Joints, each (S, ...), and how many of S are those of `proposed`, which come first. Joints that can be
-        locked but have no limits are not locked.
+        Joints, each (S, ...), those of `proposed` first. Joints that can be locked but have no limits are not
+        locked.
     """
     family, limits = FAMILIES[str(arm.family)], {}
+    assert family.locked is not None
     for joint in family.lockable:
         angles = [vector.plus(links(arm)[joint].theta, limit) for limit in numbers(arm.limits[joint])]
         angles = [x for x in angles if not isinstance(x, float) or math.isfinite(x)]
@@ -370,7 +371,7 @@ def proposed_at_limits(arm: Arm, goal: Pose) -> tuple[tuple[jax.Array, ...], int
         return [pin(jnp.broadcast_to(x, whole)).reshape(-1, *shape) for x in values]
 
     ways = [flat(joints) for joints in family.locked(arm.signs, frame.links, tip, setting, limits)]
-    return tuple(jnp.concatenate(parts) for parts in zip(*ways, strict=True)), ways[0][0].shape[0]
+    return tuple(jnp.concatenate(parts) for parts in zip(*ways, strict=True))
 
 
 def _whole(arm: Arm, solved: tuple, locked: tuple) -> tuple:

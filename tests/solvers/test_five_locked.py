@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import ikjax
-from ikjax.ik.multistart import starts_at_limits
+from ikjax.ik.multistart import branches_and_limits
 
 KATANA = ikjax.robots.katana_6m180()
 LIMITED_L3 = dataclasses.replace(ikjax.robots.motoman_l3(), limits=jnp.array([[-2.0, 1.5]] * 5))
@@ -38,7 +38,7 @@ def made(arm, joint: int, end: int, count: int = 40):
 def test_joints_that_made_a_goal_with_one_at_a_limit_are_among_the_starts(arm):
     cases = [made(arm, joint, end) for joint in (1, 3) for end in (0, 1)]
     q, goals = (np.concatenate(x) for x in zip(*cases, strict=True))
-    starts = np.array(starts_at_limits(arm, goals))
+    starts = np.array(branches_and_limits(arm, goals)[..., 4:, :])
     assert starts.shape == (len(q), 36, 5) and np.isfinite(starts).all()
     off = np.abs((starts[:, :16] - q[:, None] + np.pi) % (2 * np.pi) - np.pi).max(-1).min(-1)
     # With joint 2 locked, the L-3's hand has no length in the plane: its pitch is its own.
@@ -55,9 +55,9 @@ def test_joints_that_made_a_goal_with_one_at_a_limit_are_among_the_starts(arm):
 def test_limits_may_be_missing_and_traced():
     arm = dataclasses.replace(BENT, limits=BENT.limits.at[1].set(jnp.array([-jnp.inf, jnp.inf])))
     _, goals = made(BENT, 3, 0, 3)
-    starts = starts_at_limits(arm, goals)
+    starts = branches_and_limits(arm, goals)[..., 4:, :]
     assert jnp.isfinite(starts).all()
-    traced = jax.jit(lambda arm, goals: starts_at_limits(arm, goals))(arm, goals)
+    traced = jax.jit(lambda arm, goals: branches_and_limits(arm, goals)[..., 4:, :])(arm, goals)
     np.testing.assert_allclose(np.sin(starts), np.sin(traced), atol=1e-9)
 
 
@@ -68,7 +68,7 @@ def test_a_point_that_is_attained_within_limits_is_attained_by_a_start():
     low, high = np.array(arm.limits).T
     goals = np.array(ikjax.fk(arm, np.random.default_rng(0).uniform(low, high, (500, 5))))
     goals[:, :3, :3] = ikjax.maps.even_rotations(500)
-    starts = starts_at_limits(arm, goals)
+    starts = branches_and_limits(arm, goals)[..., 4:, :]
     attained = ikjax.pose_error(ikjax.fk(arm, into_limits(arm, starts)), goals[:, None])[0].min(-1)
     branches = ikjax.project(arm, goals, steps=0).branches.position_error.min(-1)
     assert 0.6 < (branches < 1e-9).mean() < 0.9
