@@ -111,7 +111,8 @@ def _descend_in_stages(
         fixed = is_final & newton.active_bounds(arm, q, here.gradient)
         start = jnp.where(is_final & converged[None] & ~fixed, extrapolated, q)
         damping = zero + newton.FIRST_DAMPING * weight
-        objective = weighted_by(jnp.where(is_final, 0, weight))._replace(fixed=fixed)
+        objective = weighted_by(jnp.where(is_final, 0, weight))
+        objective = objective._replace(fixed=fixed, enough=tolerance * jnp.sqrt(weight))
         state = newton.descend(arm, objective, start, steps, damping)
         norm = newton.projected_gradient_norm(arm, state.q, state.evaluation) / jnp.sqrt(weight)
         nearer = _first_error(state.evaluation, priority) <= _first_error(here, priority)

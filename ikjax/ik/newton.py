@@ -75,6 +75,8 @@ class Objective(NamedTuple):
     """Weight of the squared distance."""
     curvature_floor: Scalar = CURVATURE_FLOOR
     """The least curvature that a step divides by."""
+    enough: Scalar | None = None
+    """The gradient norm of a descent that has converged; `CONVERGED` by default."""
     fixed: jax.Array | None = None
     """Joints that must not move, (n, ...); by default none is fixed."""
 
@@ -105,13 +107,16 @@ class State(NamedTuple):
 
 
 def descend(arm: Arm, objective: Objective, q: jax.Array, steps, damping: Scalar | None = None) -> State:
-    """Take a number of Newton steps from joints within the limits.
+    """Take Newton steps from joints within the limits.
+
+    A start that has converged ends with the first step that does not improve it. So its end does not depend
+    on what else is in the batch, and the loop ends with the last of them.
 
     Args:
         arm: The arm.
         objective: What is minimized.
         q: Where the descent starts, within the limits, (n, ...).
-        steps: How many steps; may be traced.
+        steps: How many steps, at most; may be traced.
         damping: The damping at which an earlier descent ended; `FIRST_DAMPING` by default.
 
     Returns:
@@ -126,12 +131,22 @@ def descend(arm: Arm, objective: Objective, q: jax.Array, steps, damping: Scalar
     # The first iteration only evaluates the start: it begins at an infinite cost, with a zero gradient.
     # An evaluation outside the loop would make the program twice as long.
     state = State(q, worst_evaluation(arm, zero), damping * DAMPING_FACTOR)
+    enough = CONVERGED[zero.dtype.name] if objective.enough is None else objective.enough
+    none = jnp.zeros(zero.shape, bool)
 
-    def iteration(_, state: State) -> State:
+    def goes_on(carried) -> jax.Array:
+        count, _, ended = carried
+        return (count <= steps) & ~jnp.all(ended)
+
+    def iteration(carried):
+        count, state, ended = carried
         with pinning(divider_once(state.q[:1])):
-            return newton_step(arm, objective, state)
+            moved = choose(ended, state, newton_step(arm, objective, state))
+        refused = moved.damping > state.damping
+        small = projected_gradient_norm(arm, moved.q, moved.evaluation) <= enough
+        return count + 1, moved, ended | (refused & small)
 
-    return jax.lax.fori_loop(0, steps + 1, iteration, state)
+    return jax.lax.while_loop(goes_on, iteration, (0, state, none))[1]
 
 
 def worst_evaluation(arm: Arm, zero: Scalar) -> Evaluation:

@@ -85,7 +85,7 @@ def track(
     return _follow(arm, goals, start, *numbers, np.int32(steps))
 
 
-@jit_with_arm
+@functools.partial(jit_with_arm, quick=True)
 def _follow(arm: Arm, goals, q0, characteristic_length, max_joint_step, slack, steps) -> Trajectory:
     """`track` of goals (..., T, 4, 4), all arguments arrays."""
 
