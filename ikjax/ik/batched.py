@@ -24,7 +24,16 @@ import numpy as np
 
 from ikjax.arm.arm import Arm, once_for_each_arm
 from ikjax.core import cores
-from ikjax.core.xla import constant, divider, pinning, quick_to_compile, to_columns, to_rows, wide_vectors
+from ikjax.core.xla import (
+    constant,
+    divider,
+    divider_once,
+    pinning,
+    quick_to_compile,
+    to_columns,
+    to_rows,
+    wide_vectors,
+)
 from ikjax.ik.inline import FIELDS, Entries, from_rows, parts, rows_of, slots_of
 from ikjax.ik.results import Solutions
 
@@ -219,7 +228,7 @@ class SolveBlock:
         goals, q_now, redundancy = rows
         count = goals.shape[0]
         entries = entries_in(goals)
-        with pinning(divider(entries[0][3])):
+        with pinning((divider_once if count <= FEW else divider)(entries[0][3])):
             rows = rows_of(arm, entries, q_now, self.pose_tolerance, redundancy)
             if rows is not None:
                 return from_rows(rows)

@@ -12,7 +12,7 @@ from ikjax.core.pose import Pose
 from ikjax.core.tolerances import TINY
 from ikjax.core.trig import Angle, Scalar, add_small_angle, angle
 from ikjax.core.vector import Vector, plus
-from ikjax.core.xla import pin
+from ikjax.core.xla import pin, pin_all
 
 
 class Slide(NamedTuple):
@@ -97,7 +97,7 @@ class Setting(NamedTuple):
         """The goal seen from the frame after the first links, pinned."""
         for link, joint in zip(links, joints, strict=False):
             goal = unwind(goal, link, placed(link, joint))
-        return jax.tree.map(pin, goal)
+        return pin_all(goal)
 
 
 class Branch(NamedTuple):

@@ -20,7 +20,7 @@ from ikjax.core.linear import damped_steps
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Angle, Scalar
 from ikjax.core.vector import Vector
-from ikjax.core.xla import divider_once, pin, pinning
+from ikjax.core.xla import divider_once, pin, pin_all, pinning
 from ikjax.solvers.context import Branch, Joints, Setting, Slide, moved_on, placed
 
 STEPS = 8
@@ -263,9 +263,9 @@ def _forward(given: Given, joints: Joints) -> tuple[Pose, list[Pose]]:
     frame, before = poses.IDENTITY, []
     for i, (link, joint) in enumerate(zip(given.links, joints, strict=True)):
         before.append(frame)
-        frame = jax.tree.map(pin, advance(frame, link, placed(link, joint)))
+        frame = pin_all(advance(frame, link, placed(link, joint)))
         if given.between is not None and i < len(given.between):
-            frame = jax.tree.map(pin, poses.compose(frame, given.between[i]))
+            frame = pin_all(poses.compose(frame, given.between[i]))
     return frame, before
 
 
@@ -279,9 +279,9 @@ def _step(given: Given, joints: Joints, goal: Pose, turning: bool, setting: Sett
     """One damped step on all joints."""
     reached, before = _forward(given, joints)
     change = tuple(map(vector.subtract, reached.rotation, goal.rotation))
-    gap = tuple(map(pin, _gap(given, reached, goal, change)))
+    gap = pin_all(_gap(given, reached, goal, change))
     tip = vector.add(reached.position, vector.rotate(reached.rotation, given.tool_point))
-    tip = tuple(map(pin, tip))
+    tip = pin_all(tip)
     # The rotation error as a vector: half the sum of the cross products of the columns is the axis of the
     # rotation that is left, times the sine of its angle.
     columns = zip(vector.transpose(reached.rotation), vector.transpose(goal.rotation), strict=True)
@@ -305,7 +305,7 @@ def _step(given: Given, joints: Joints, goal: Pose, turning: bool, setting: Sett
     size = functools.reduce(jnp.maximum, map(abs, steps))
     shrink = pin(LARGEST_STEP / jnp.maximum(size, LARGEST_STEP))
     moved = (_rounded(moved_on(joint, step * shrink)) for joint, step in zip(joints, steps, strict=True))
-    return tuple(jax.tree.map(pin, joint) for joint in moved)
+    return tuple(pin_all(joint) for joint in moved)
 
 
 def _rounded(joint: Angle | Slide) -> Angle | Slide:

@@ -35,7 +35,7 @@ from ikjax.core import safe, vector
 from ikjax.core.pose import Pose
 from ikjax.core.tolerances import TINY, UNSEEN, VALID
 from ikjax.core.trig import Angle, Scalar, atan2, canonical, sincos, wrap
-from ikjax.core.xla import is_traced, pin
+from ikjax.core.xla import is_traced, pin, pin_all
 from ikjax.solvers.context import Branch, Joints, Setting, Slide, placed
 from ikjax.solvers.families import FAMILIES, Family
 from ikjax.solvers.given_arm import Given, polished, polished_rows, step_count
@@ -136,7 +136,7 @@ def prepare(arm: Arm, free: tuple[Scalar, ...] = ()) -> Frame:
         for i in reversed(range(arm.solved.stop, arm.n)):
             before = poses.IDENTITY if between is None else between[i - 1]
             tool = poses.compose(advance(before, table[i], placed(table[i], at[i])), tool)
-        base, tool = jax.tree.map(pin, (base, tool))
+        base, tool = pin_all((base, tool))
         table = table[arm.solved.start : arm.solved.stop]
         between = None if between is None else between[arm.solved.start : arm.solved.stop - 1]
     tip_tool = poses.compose(advance(poses.IDENTITY, table[-1], Joint(0.0, 1.0, table[-1].d)), tool)
@@ -297,7 +297,7 @@ class _Measure(NamedTuple):
     def __call__(self, branch: Branch, squares: tuple[Scalar, Scalar]) -> Slot:
         """The slot of a branch, with its squared errors: of tool point and rotation (Frobenius)."""
         arm, frame, (length, angle) = self.arm, self.frame, self.allowed
-        gap_squared, turn_squared = map(pin, squares)
+        gap_squared, turn_squared = pin_all(squares)
         turn_squared = turn_squared if arm.task in TURNING else jnp.zeros_like(gap_squared)
         # |R - S| = sqrt(8) sin(angle / 2) in the Frobenius norm, which is sqrt(2) angle for small angles.
         valid = (gap_squared <= length * length) & (turn_squared <= 2 * angle**2)
@@ -393,7 +393,7 @@ def _prepared(
         for link, value in zip(frame.links, values, strict=True)
     )
     scaled = Pose(goal.rotation, vector.scale(frame.per_reach, goal.position))
-    tip = jax.tree.map(pin, _tip_goal(arm.task, frame, scaled))
+    tip = pin_all(_tip_goal(arm.task, frame, scaled))
     return (
         frame,
         tip,

@@ -52,7 +52,7 @@ from ikjax.core.pose import Pose
 from ikjax.core.tolerances import KEEPS_JOINT_6, ONE_WAY, ROOT_NOISE, WAY_STEP
 from ikjax.core.trig import Angle, Scalar, add_small_angle, sincos
 from ikjax.core.vector import Vector, minus, plus, times
-from ikjax.core.xla import pin, stop_gradient
+from ikjax.core.xla import pin, pin_all, stop_gradient
 from ikjax.solvers.context import Branch, Setting
 from ikjax.solvers.families.pieper import reverse
 
@@ -312,7 +312,7 @@ def terms(constants: Constants, way: Way, field) -> Terms:
     pull = add(scale(kr, u), scale(ki, v)), add(scale(kr, v), scale(minus(ki), u))
     rest = add(scale(constants.along, w), field.number(minus(four.cos_alpha)))
     cross = add(multiply(pull[0], way.y), scale(-1.0, multiply(pull[1], way.x)))
-    return jax.tree.map(pin, Terms(span, level, pull, rest, cross))
+    return pin_all(Terms(span, level, pull, rest, cross))
 
 
 def _product(constants: Constants, way: Way, field):
@@ -321,7 +321,7 @@ def _product(constants: Constants, way: Way, field):
     add, multiply = field.add, field.multiply
     first = add(multiply(t.level, t.pull[0]), multiply(t.rest, way.x))
     second = add(multiply(t.level, t.pull[1]), multiply(t.rest, way.y))
-    first, second = jax.tree.map(pin, (first, second))
+    first, second = pin_all((first, second))
     squares = add(multiply(first, first), multiply(second, second))
     return add(squares, field.scale(minus(constants.fore_squared), multiply(t.cross, t.cross)))
 
@@ -380,7 +380,7 @@ def formulate(
     count = 10 if shared else 18
     first = 0.5 * math.pi / count
     goal = jax.tree.map(lambda x: jnp.asarray(x)[None], goal)
-    seen = jax.tree.map(pin, seen_from_goal(constants, goal))
+    seen = pin_all(seen_from_goal(constants, goal))
     like = goal.position[0]
     angles = [first + 2 * math.pi * j / count for j in range(count)]
     sine, cosine = (column([f(t) for t in angles], like) for f in (math.sin, math.cos))
@@ -394,7 +394,7 @@ def formulate(
     samples = pin(polynomial(problem, front))
     largest = stop_gradient(jnp.max(abs(samples), axis=0, keepdims=True))
     samples = pin(samples * safe.divide(1.0, largest))
-    return problem._replace(scale=largest), jax.tree.map(pin, circle_roots.interpolated(samples, first))
+    return problem._replace(scale=largest), pin_all(circle_roots.interpolated(samples, first))
 
 
 def _decided(constants: Constants, by_6: Front, by_1: Front) -> jax.Array:
@@ -642,11 +642,11 @@ def joints_of(problem: Problem, rotation, place: Place):
     per = 1 / jnp.maximum(span, jnp.finfo(span.dtype).tiny)
     fore_x, fore_y = (x * level - y * bend) * per, (y * level + x * bend) * per
     side = safe.sign(two.a)
-    two_sin, two_cos = map(pin, _unit((y - fore_y) * side, (x - fore_x) * side))
+    two_sin, two_cos = pin_all(_unit((y - fore_y) * side, (x - fore_x) * side))
     # The forearm's direction against that at joint 3 zero.
     u, v = constants.fore
     pitch = _unit(plus(times(u, fore_y), minus(times(v, fore_x))), plus(times(u, fore_x), times(v, fore_y)))
-    pitch_sin, pitch_cos = map(pin, pitch)
+    pitch_sin, pitch_cos = pin_all(pitch)
     c2 = two.cos_alpha
     three_sin = c2 * (pitch_sin * two_cos - pitch_cos * two_sin)
     three_cos = pitch_cos * two_cos + pitch_sin * two_sin

@@ -42,7 +42,7 @@ from ikjax.core.pose import Pose
 from ikjax.core.roots import circle_quartic, cosine_sine
 from ikjax.core.trig import Angle, Scalar, SinCos, add_small_angle
 from ikjax.core.vector import Vector
-from ikjax.core.xla import agreed, pin
+from ikjax.core.xla import agreed, pin, pin_all
 from ikjax.solvers.context import Branch, Setting
 from ikjax.solvers.families.planar import Plane, heading_of, three_joints
 from ikjax.solvers.steps.lines import Axis, axes_of, component, pose_turned, seen_from, turned
@@ -445,7 +445,7 @@ def _polished(
             add_small_angle(*joint, jnp.where(small, move, 0))
             for joint, move in zip((first, second), moves, strict=True)
         ]
-        first, second = (tuple(map(pin, joint)) for joint in moved)
+        first, second = (pin_all(joint) for joint in moved)
     a, b = (setting.angle(*joint) for joint in (first, second))
     return a, b
 

@@ -33,7 +33,7 @@ from ikjax.arm.recognition.signs import ThreeParallelSigns
 from ikjax.core import safe, vector
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Angle, Scalar, SinCos, angle
-from ikjax.core.xla import pin
+from ikjax.core.xla import pin, pin_all
 from ikjax.solvers.context import Branch, Setting, bits
 from ikjax.solvers.steps.shoulder import shoulder
 from ikjax.solvers.steps.triangle import ring, triangle
@@ -183,7 +183,7 @@ def _seen_further(seen: Pose, a1: Scalar, further: SinCos, setting: Setting) -> 
 
     def back(v):
         turned = (v[0] * cosine - v[2] * sine, v[1], v[0] * sine + v[2] * cosine)
-        return tuple(map(pin, turned))
+        return pin_all(turned)
 
     ahead, _, along = vector.transpose(seen.rotation)
     ahead, along = back(ahead), back(along)
