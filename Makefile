@@ -56,7 +56,7 @@ $(VENV)/run.stamp: $(BIN)/python pyproject.toml
 	touch $@
 
 $(VENV)/dev.stamp: $(BIN)/python pyproject.toml
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[all,dev,notebook]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[all,dev,notebook,peers]'
 	touch $@ $(VENV)/run.stamp
 
 $(VENV)/docs.stamp: $(VENV)/run.stamp

@@ -8,6 +8,7 @@ from ikjax.arm import robots as robots
 from ikjax.arm.arm import Arm as Arm
 from ikjax.arm.forward import fk as fk
 from ikjax.arm.forward import frames as frames
+from ikjax.arm.load import load as load
 from ikjax.arm.twists import jacobian as jacobian
 from ikjax.arm.urdf.xml import ArmFileError as ArmFileError
 from ikjax.core.pose import planar_pose as planar_pose
