@@ -31,6 +31,7 @@ from ikjax.ik.refine import refine as refine
 from ikjax.ik.results import Projection as Projection
 from ikjax.ik.results import Solutions as Solutions
 from ikjax.ik.results import Trajectory as Trajectory
+from ikjax.ik.robot_kinematics import RobotKinematics as RobotKinematics
 from ikjax.ik.select import nearest as nearest
 from ikjax.ik.select import within_limits as within_limits
 from ikjax.ik.self_motion import SelfMotion as SelfMotion
