@@ -9,17 +9,12 @@ import pytest
 
 ROOT = pathlib.Path(__file__).parent.parent
 NEEDS = {"mjx_rollout": "mujoco.mjx"}
-SLOW = {"branches_as_seeds", "mjx_rollout", "so101_follower"}
-"""They compile for more than ten seconds. `quickstart` is in `test_readme.py`."""
+EXAMPLES = [path for path in sorted((ROOT / "examples").glob("*.py")) if path.stem != "quickstart"]
+"""`quickstart` is in `test_readme.py`."""
 
 
-def examples():
-    for path in sorted((ROOT / "examples").glob("*.py")):
-        if path.stem != "quickstart":
-            yield pytest.param(path, id=path.stem, marks=[pytest.mark.slow] if path.stem in SLOW else [])
-
-
-@pytest.mark.parametrize("path", list(examples()))
+@pytest.mark.slow
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_an_example_runs_and_its_asserts_hold(path, tmp_path):
     if path.stem in NEEDS:
         pytest.importorskip(NEEDS[path.stem])
