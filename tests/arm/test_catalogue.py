@@ -154,7 +154,7 @@ REACH = {
     "a0912": (upright, 1.200, 1e-9),
     "tm12": (parallel, 1.300, 5e-4),
     "tm14": (parallel, 1.100, 5e-4),
-    # As makers' data sheets print it, in mm.
+    # Makers' data sheets, in m, from memory: the sheets were not opened again.
     "irb140": (ortho, 0.810, 5e-4),
     "kr5_arc": (ortho, 1.412, 1e-3),
     "kr16_2": (ortho, 1.611, 5e-4),
