@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: sweep test suite slow long verify guard bench maps notebooks docs pictures lint clean
+.PHONY: sweep test suite slow browser long verify guard bench maps notebooks docs pictures lint clean
 
 sweep: $(VENV)/run.stamp            ## sweep a PUMA 560's workspace, or go on with it: a map, a picture, a summary
 	$(BIN)/ikjax sweep puma560 --spacing 0.03 --orientations 512 \
@@ -21,6 +21,9 @@ lint: $(VENV)/dev.stamp
 
 slow: $(VENV)/dev.stamp             ## what `make test` leaves out: second types, further arms, notebooks
 	$(BIN)/python -m pytest -m slow -n auto --dist worksteal
+
+browser: $(VENV)/dev.stamp          ## the viewers in a headless Chromium, which has to be installed
+	$(BIN)/python -m pytest -m slow -k in_a_browser tests/plot
 
 long: $(VENV)/dev.stamp             ## 10^6 goals an arm
 	$(BIN)/python -m pytest -m long -s
@@ -56,7 +59,7 @@ $(VENV)/run.stamp: $(BIN)/python pyproject.toml
 	touch $@
 
 $(VENV)/dev.stamp: $(BIN)/python pyproject.toml
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[all,dev,notebook]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[all,dev,notebook,peers]'
 	touch $@ $(VENV)/run.stamp
 
 $(VENV)/docs.stamp: $(VENV)/run.stamp

@@ -6,6 +6,8 @@ A page has marks where something of the project belongs, so that it cannot diffe
     <!-- family: NAME -->              the facts of one
     <!-- header: MODULE -->            the docstring of a module
     <!-- source: PATH NAME [KEY] -->   a function, class or constant, or one entry of a dictionary
+    <!-- catalogue -->                 every robot of the tables in a line
+    <!-- table: ROBOT -->              the table of one
 """
 
 import ast
@@ -44,6 +46,8 @@ def on_page_markdown(markdown, page, config, files):
         r"<!-- source: (\S+) (\w+)(?: (\w+))? -->", lambda found: source(*found.groups()), markdown
     )
     markdown = markdown.replace("<!-- families -->", overview() if "<!-- families -->" in markdown else "")
+    markdown = markdown.replace("<!-- catalogue -->", catalogue() if "<!-- catalogue -->" in markdown else "")
+    markdown = re.sub(r"<!-- table: (\w+) -->", lambda found: table(found[1]), markdown)
     return re.sub(r"<!-- family: (\w+) -->", lambda found: facts(found[1]), markdown)
 
 
@@ -91,6 +95,29 @@ def overview() -> str:
     lines = ["| family | joints | arms | task |", "|---|---|---|---|"]
     lines += [f"| [{name}]({name}.md) | {r.joints} | {r.summary} | `{r.task}` |" for name, r in RULES.items()]
     return "\n".join(lines)
+
+
+def catalogue() -> str:
+    """Every robot of the tables: its name, what it is, its family, its source."""
+    import ikjax
+    from ikjax.arm.robots.tables import tables
+
+    lines = ["| name | robot | family | source |", "|---|---|---|---|"]
+    for name in sorted(tables()):
+        facts = ikjax.robots.about(name)
+        words = [facts["title"], facts.get("note", "")]
+        family = ikjax.robots.get(name).family
+        lines.append(f"| `{name}` | {'. '.join(filter(None, words))} | `{family}` | {facts['source']} |")
+    return "\n".join(lines)
+
+
+def table(robot: str) -> str:
+    """A robot's table as it stands in its file."""
+    for file in sorted((ROOT / "ikjax/arm/robots/tables").glob("*.toml")):
+        found = re.search(rf"^\[{robot}\]\n.*?(?=^\[\w+\]$|\Z)", file.read_text(), re.S | re.M)
+        if found:
+            return f"```toml\n{found[0].strip()}\n```"
+    raise ValueError(f"no table of {robot}: a page of the documentation shows it")
 
 
 def source(path: str, name: str, key: str | None = None) -> str:

@@ -8,6 +8,7 @@ from ikjax.arm import robots as robots
 from ikjax.arm.arm import Arm as Arm
 from ikjax.arm.forward import fk as fk
 from ikjax.arm.forward import frames as frames
+from ikjax.arm.load import load as load
 from ikjax.arm.twists import jacobian as jacobian
 from ikjax.arm.urdf.xml import ArmFileError as ArmFileError
 from ikjax.core.pose import planar_pose as planar_pose
@@ -30,6 +31,7 @@ from ikjax.ik.refine import refine as refine
 from ikjax.ik.results import Projection as Projection
 from ikjax.ik.results import Solutions as Solutions
 from ikjax.ik.results import Trajectory as Trajectory
+from ikjax.ik.robot_kinematics import RobotKinematics as RobotKinematics
 from ikjax.ik.select import nearest as nearest
 from ikjax.ik.select import within_limits as within_limits
 from ikjax.ik.self_motion import SelfMotion as SelfMotion

@@ -1,7 +1,7 @@
 """The arm: DH parameters as differentiable leaves, and the few facts that are fixed when it is built.
 
-`Arm.from_dh` and `Arm.from_urdf` build one. `Arm.split` and `Arm.join` part it into what a compiled program
-knows of it and the numbers that the program is called with.
+`Arm.from_dh`, `Arm.from_urdf` and `Arm.from_mujoco` build one. `Arm.split` and `Arm.join` part it into what a
+compiled program knows of it and the numbers that the program is called with.
 
 Source of the conventions: standard DH after Spong, Robot Modeling and Control, section 3.2;
 modified DH after Craig, Introduction to Robotics, 3rd ed., section 3.4.
@@ -10,7 +10,6 @@ modified DH after Craig, Introduction to Robotics, 3rd ed., section 3.4.
 import dataclasses
 import functools
 import math
-import os
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar, cast
 
@@ -212,10 +211,11 @@ class Arm:
 
     @staticmethod
     def from_urdf(
-        source: str | bytes | os.PathLike,
+        source: Any,
         base: str | None = None,
         tip: str | None = None,
         *,
+        fixed_joints: Mapping[str, float] | None = None,
         axis_tolerance: float | None = None,
         coupling: ArrayInput | None = None,
         name: str | None = None,
@@ -232,9 +232,13 @@ class Arm:
         `joint_names`, in the order of `q`.
 
         Args:
-            source: A path, or the XML itself: bytes, or a str that starts with "<". Meshes are never opened
-                and nothing is fetched.
-            base, tip: Names of links; by default the root, and the one leaf.
+            source: A path, or the XML itself (bytes, or a str that starts with "<"), or a `yourdfpy.URDF`.
+                Meshes are never opened and nothing is fetched. A path that ends in ".xacro" is expanded by
+                the package xacro, which evaluates what it says.
+            base, tip: Names of links; by default the root, and the one leaf. Where the tree branches, or ends
+                in a gripper, the tip is guessed: the end of the longest chain of joints, without those that
+                move several branches together by mimicking and those with a finger's name.
+            fixed_joints: Joints of the chain by name that stay at a value [rad, m]; they are no part of `q`.
             axis_tolerance: How far axes may be off [rad], and as a share of the arm's size; at most 0.02. By
                 default the least of 1e-5, 1e-4 and 1e-3 that gives the arm a family.
             coupling: As in `from_dh`, for a file whose joints mimic no others.
@@ -243,8 +247,8 @@ class Arm:
             redundant: As in `from_dh`; also by the joint's name in the file.
 
         Warns:
-            Where a revolute joint has no limits, an axis has no unit length, or the last joints look like a
-            gripper's.
+            Where the tip is guessed, with what was left out; where a revolute joint has no limits, an axis
+            has no unit length, or the last joints look like a gripper's.
 
         Raises:
             ArmFileError: A file that is not sound, or holds what is no serial arm of revolute and
@@ -258,17 +262,64 @@ class Arm:
         """
         from ikjax.arm.urdf.reader import axes_of, read_chain
 
-        chain = read_chain(source, base, tip)
+        chain = read_chain(source, base, tip, fixed_joints)
         given, driven, ranges = axes_of(chain)
         if coupling is not None and driven is not None:
             raise ValueError("coupling is what the file's mimic joints say: leave it out")
         coupling = dh.check_coupling(driven if coupling is None else coupling, len(given.kinds))
-        limits = dh.check_limits(ranges, given.kinds)
-        leaves = {"limits": limits, "coupling": coupling, "base": np.eye(4)}
-        up = -1 if given.along[0][2] < -1e-9 else 1
-        locked = None if redundant is None else lock.place(len(given.kinds), redundant, chain.motors)
-        arm = _nearest(given, leaves, axis_tolerance, family, up, name or chain.name, dtype, locked)
-        return dataclasses.replace(arm, joint_names=chain.motors)
+        leaves = {"limits": dh.check_limits(ranges, given.kinds), "coupling": coupling, "base": np.eye(4)}
+        asked = (axis_tolerance, family, redundant, name or chain.name, dtype)
+        return _of_file(given, leaves, chain.motors, *asked)
+
+    @staticmethod
+    def from_mujoco(
+        model: Any,
+        *,
+        site: str | None = None,
+        body: str | None = None,
+        base: str | None = None,
+        fixed_joints: Mapping[str, float] | None = None,
+        axis_tolerance: float | None = None,
+        name: str | None = None,
+        family: str | None = None,
+        redundant: str | int | Sequence[str | int] | None = None,
+        dtype: DTypeLike | None = None,
+    ) -> "Arm":
+        """An arm from the joints between two bodies of a MuJoCo model; needs the extra `mujoco`.
+
+        MuJoCo reads the file. `q` are its own joint values (`qpos`), so that a joint's `ref` counts, and
+        goals are in the world of the model as it stands, or in the frame of `base`. What rounded numbers
+        leave between the axes is handled as in `from_urdf`.
+
+        Args:
+            model: A `mujoco.MjModel` or `mujoco.MjSpec`, the path of an MJCF or MJB file, or MJCF as text.
+            site, body: Name of the tool's frame, one of the two. By default it is guessed as in `from_urdf`:
+                joints that an equality or a tendon couples, and those with a finger's name, are left out.
+            base: Name of the body that the arm stands on; by default the world.
+            fixed_joints: Joints of the chain by name that stay at a value [rad, m]; they are no part of `q`.
+            axis_tolerance, redundant: As in `from_urdf`.
+            name: For people; by default that of the model.
+            family, dtype: As in `from_dh`.
+
+        Warns:
+            Where the tip is guessed, with what was left out.
+
+        Raises:
+            ArmFileError: A model that MuJoCo refuses; a ball or free joint in the chain; joints of the chain
+                that an equality or a tendon couples; chains of equal length and no tip given.
+            ValueError: As `from_urdf`; `site` and `body` both.
+            ImportError: The extra `mujoco` is not installed.
+            OSError: The file cannot be read.
+
+        Source: MuJoCo documentation, Computation, Kinematic tree.
+        """
+        from ikjax.arm.mujoco_model import read_model
+
+        chain = read_model(model, site, body, base, fixed_joints)
+        given = chain.axes
+        leaves = {"limits": dh.check_limits(chain.limits, given.kinds), "coupling": None, "base": np.eye(4)}
+        asked = (axis_tolerance, family, redundant, name or chain.name, dtype)
+        return _of_file(given, leaves, chain.joint_names, *asked)
 
     @property
     def n(self) -> int:
@@ -582,6 +633,23 @@ def _nearest(
         "correction": None if small else table.correction,
     }
     return _built(given.kinds, leaves, family, up, name, dtype, locked, closed_form=best[0] < none)
+
+
+def _of_file(
+    given: Axes,
+    leaves: dict,
+    joint_names: tuple[str, ...],
+    axis_tolerance,
+    family,
+    redundant,
+    name: str,
+    dtype,
+) -> Arm:
+    """The arm of the axes and the names of joints that a file holds."""
+    up = -1 if given.along[0][2] < -1e-9 else 1
+    locked = None if redundant is None else lock.place(len(given.kinds), redundant, joint_names)
+    arm = _nearest(given, leaves, axis_tolerance, family, up, name, dtype, locked)
+    return dataclasses.replace(arm, joint_names=joint_names)
 
 
 def _largest(correction: np.ndarray, columns: dict) -> float:

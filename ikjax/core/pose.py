@@ -260,8 +260,9 @@ def pose(
         wxyz: Quaternion, (..., 4), scalar first. Its length may be off by 1e-3.
         xyzw: The same with the scalar last.
         rotvec: Rotation vector [rad], (..., 3): the axis, as long as the angle.
-        matrix: Rotation, (..., 3, 3), or whole pose, (..., 4, 4); taken as it is. Or an object whose method
-            `as_matrix()` returns one, such as scipy's `Rotation` or jaxlie's `SE3`.
+        matrix: Rotation, (..., 3, 3), or whole pose, (..., 4, 4); taken as it is. Or (..., 9), a rotation
+            row by row, as MuJoCo keeps `site_xmat`. Or an object whose method `as_matrix()` returns one, such
+            as scipy's `Rotation` or jaxlie's `SE3`.
         wxyz_xyz: Whole pose, (..., 7): a quaternion as `wxyz`, then the position [m].
         orthonormalize: Replace the rotation of `matrix`, which may be off by 1e-2 (the norm of
             R^T R - I), by the nearest one. What is traced and off by more is left as it is: `solve` masks it.
@@ -334,12 +335,14 @@ def _angles(name: str, value: ArrayInput, dtype: DTypeLike) -> Vector:
 
 
 def _from_array(value: ArrayInput, orthonormalize: bool, dtype: DTypeLike) -> tuple[Matrix, Vector | None]:
-    """The rotation of a (..., 3, 3) or (..., 4, 4) array, and the position of the latter."""
+    """The rotation of a (..., 3, 3), (..., 9) or (..., 4, 4) array, and the position of the last."""
     array = jnp.asarray(value, dtype)
+    if array.shape[-1:] == (9,):
+        array = array.reshape(*array.shape[:-1], 3, 3)
     if array.shape[-2:] not in ((3, 3), (4, 4)):
-        raise ValueError(f"matrix must have shape (..., 3, 3) or (..., 4, 4), got {array.shape}")
+        raise ValueError(f"matrix must have shape (..., 3, 3), (..., 9) or (..., 4, 4), got {array.shape}")
     whole = array.shape[-1] == 4
-    known = None if isinstance(array, jax.core.Tracer) else np.asarray(value, float)
+    known = None if isinstance(array, jax.core.Tracer) else np.asarray(value, float).reshape(array.shape)
     if whole and known is not None and not np.allclose(known[..., 3, :], (0, 0, 0, 1), atol=1e-9):
         raise ValueError("matrix must have bottom rows (0, 0, 0, 1): transposed?")
     rotation = tuple(tuple(array[..., i, j] for j in range(3)) for i in range(3))

@@ -6,7 +6,10 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+
+from ikjax.core.typing import ArrayInput
 
 
 class Origin(NamedTuple):
@@ -70,6 +73,26 @@ class Solutions:
         """The same solutions, with their origin. It is no field, so it does not leave the trace."""
         _origins[self] = origin
         return self
+
+    def where(self, ok: ArrayInput) -> "Solutions":
+        """These solutions, valid only where a mask of one's own is true: a collision checker's, for one.
+
+        Args:
+            ok: (..., S) bool, or of a shape that broadcasts to it.
+
+        Returns:
+            `Solutions` of the same shape; only `valid` differs. `nearest` chooses among what is left.
+
+        Raises:
+            ValueError: A shape that does not broadcast, or a type that is not bool.
+        """
+        ok, shape = jnp.asarray(ok), self.valid.shape
+        # Whether it broadcasts: trailing axes agree or are 1, and there are no more of them.
+        pairs = zip(ok.shape[::-1], shape[::-1], strict=False)
+        if ok.dtype != bool or ok.ndim > len(shape) or any(x not in (1, y) for x, y in pairs):
+            raise ValueError(f"ok must be bool, of shape {shape}, got {ok.dtype}, {ok.shape}")
+        narrowed = dataclasses.replace(self, valid=self.valid & jnp.broadcast_to(ok, shape))
+        return narrowed if self.origin is None else narrowed.with_origin(self.origin)
 
     def require(self) -> "Solutions":
         """These solutions, if every goal has a valid one.

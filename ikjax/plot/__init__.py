@@ -5,6 +5,7 @@ Needs matplotlib (`pip install ikjax[viz]`), which is imported for the first pic
 `plt.show()`; with a path it is saved and closed. All lengths are in metres, with the same scale on all axes.
 """
 
+from ikjax.plot.arm_viewer import ArmViewer, view
 from ikjax.plot.bars import histogram
 from ikjax.plot.contrast import Change, change, comparison
 from ikjax.plot.disc import globe

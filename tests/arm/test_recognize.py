@@ -22,7 +22,13 @@ FAMILY = {
     **dict.fromkeys(["fer", "fr3", "xarm7", "gen72"], "pieper_reversed"),
     **dict.fromkeys(["cobotta", "crx10ia", "gen3lite", "gofa5", "gofa10"], "offset_wrist"),
     **dict.fromkeys(["hc10", "link6", "xarm6"], "offset_wrist"),
+    **dict.fromkeys(["crx5ia", "crx20ia_l", "crx25ia", "ned2"], "offset_wrist"),
+    **dict.fromkeys(["px150", "rx150", "rx200", "wx200", "wx250", "vx250", "so100", "xarm5"], "five_axis"),
+    **dict.fromkeys(["ur3", "ur10", "ur16e", "ur20", "ur30", "z1"], "three_parallel"),
+    **dict.fromkeys(["tm5_900", "tm12", "tm14", "cr5", "cr10", "zu7", "zu12"], "three_parallel"),
+    **dict.fromkeys(["aubo_i5", "aubo_i10", "ec66", "cs66", "mycobot_320"], "three_parallel"),
 }
+"""By name; all others of the catalogue are the usual industrial arm."""
 TASKS = {"planar_pose": "planar_pose", "planar_position": "planar_position"}
 TABLES = {
     "ortho_parallel_wrist": {
@@ -56,7 +62,7 @@ def refusal(arm):
 @pytest.mark.parametrize("name", ikjax.robots.names())
 def test_every_arm_of_the_catalogue_has_its_family(name):
     arm = ikjax.robots.get(name)
-    assert arm.family == FAMILY[name]
+    assert arm.family == FAMILY.get(name, "ortho_parallel_wrist")
     assert arm.task == TASKS.get(arm.family, "pose")
     slots = 16 if arm.family == "offset_wrist" else {2: 2, 3: 2, 4: 2, 5: 4, 6: 8, 7: 8}[arm.n]
     assert len(arm.branches) == len(set(arm.branches)) == slots

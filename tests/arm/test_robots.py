@@ -42,9 +42,9 @@ def test_the_catalogue_is_listed_in_alphabetical_order():
 
 
 def test_an_unknown_robot_is_answered_with_the_list():
-    with pytest.raises(ValueError, match="no robot 'puma'; the catalogue has cobotta, crx10ia, elbow"):
+    with pytest.raises(ValueError, match="no robot 'puma'; near it the catalogue has puma560"):
         ikjax.robots.get("puma")
-    with pytest.raises(ValueError, match="no robot 'puma'; the catalogue has cobotta, crx10ia"):
+    with pytest.raises(ValueError, match="no robot 'puma'; near it the catalogue has puma560"):
         ikjax.robots.poses("puma")
 
 
@@ -125,7 +125,7 @@ def test_a_universal_robot_that_is_up_stands_straight_up(name):
 @pytest.mark.parametrize("name", ikjax.robots.names())
 def test_named_poses_lie_within_the_joint_limits(name):
     poses, arm = ikjax.robots.poses(name), ikjax.robots.get(name)
-    assert poses or name in ("stanford", "cobotta"), "give @robot(...) at least a pose `zero`"
+    assert poses or name in ("stanford", "cobotta", "kr120_r2500"), "give it at least a pose `zero`"
     low, high = np.asarray(arm.limits).T
     for q in poses.values():
         assert len(q) == arm.n and all(type(x) is float for x in q)

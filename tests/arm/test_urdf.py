@@ -140,11 +140,14 @@ def test_a_branching_file_is_cut_to_the_chain_asked_for(ends, names):
     assert (chain.base, chain.tip) == (ends.get("base", "base"), ends["tip"])
 
 
+def test_the_tip_of_a_branching_tree_is_the_end_of_its_longest_chain():
+    with pytest.warns(UserWarning, match='guessed: "hand", after 2 joints .* left out .* grip, follow'):
+        assert read_chain(BRANCHING).tip == "hand"
+
+
 @pytest.mark.parametrize(
     ("ends", "gist"),
     [
-        ({}, '"camera" (1 moving joints)'),
-        ({}, '"left" (3 moving joints)'),
         (
             {"base": "hand"},
             '2 leaf links below "hand", give one as tip=: "left" (1 moving joints), "right" (1',
@@ -259,11 +262,13 @@ def test_a_jaw_at_the_end_is_said_with_the_link_before_it():
         joint("end", "jaw", "tip", "fixed"),
     )
     with pytest.warns(UserWarning) as seen:
-        chain = read_chain(text)
+        chain = read_chain(text, tip="tip")
     assert [str(w.message) for w in seen] == [
         '<string>:7: <joint name="moving_jaw">: looks like a gripper\'s: leave it out with tip="hand"'
     ]
     assert len(chain.joints) == 5 and seen[0].filename == __file__
+    with pytest.warns(UserWarning, match='the tip is guessed: "hand", after 4 joints .* moving_jaw'):
+        assert len(read_chain(text).joints) == 4
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert len(read_chain(text, tip="hand").joints) == 4

@@ -84,7 +84,6 @@ def test_a_study_names_the_ends_of_a_files_arm(read, tmp_path):
     rest = 'arm = "mine.XML"\nspacing = 0.5\norientations = 8\n'
     assert read(rest + 'base = "a"\ntip = "tool"\naxis_tolerance = 1e-3').arm.n == 1
     for text, says in {
-        "": "give one as tip=",
         'tip = "hand"': 'tip="hand" is none of',
         "tip = 3": "tip is of the wrong kind: 3",
         'tip = "tool"\naxis_tolerance = "x"': "axis_tolerance is of the wrong kind",

@@ -201,7 +201,7 @@ def test_a_position_has_no_orientation_to_speak_of(dtype):
         ({"xyzw": np.array([1.01, 0, 0, 0])}, "xyzw must have length 1 within 1e-3, it is off by 0.01"),
         ({"rotvec": np.zeros(4)}, r"rotvec must have shape \(\.\.\., 3\), got \(4,\)"),
         ({"rotvec": np.zeros(3), "matrix": np.eye(3)}, "give one orientation, got rotvec and matrix"),
-        ({"matrix": np.zeros((3, 4))}, r"matrix must have shape .*3, 3\) or .*4, 4\), got \(3, 4\)"),
+        ({"matrix": np.zeros((3, 4))}, r"matrix must have shape .*3, 3\), .*9\) or .*4, 4\), got \(3, 4\)"),
         ({"matrix": np.zeros(3)}, r"matrix must have shape .* got \(3,\)"),
         ({"matrix": np.eye(4), "xyz": np.zeros(3)}, "give one position"),
         ({"matrix": np.eye(4) + np.eye(4)[:, ::-1]}, "bottom rows .*: transposed"),

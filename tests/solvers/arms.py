@@ -123,11 +123,9 @@ def _awkward() -> dict[str, functools.partial]:
 
 
 AWKWARD = _awkward()
-CATALOGUE = tuple(
-    name
-    for name in ikjax.robots.names()
-    if ikjax.robots.get(name).family in ("ortho_parallel_wrist", "three_parallel")
-)
+CATALOGUE = ("elbow_manipulator", "irb120", "irb2400", "kr6_r900", "lrmate200id", "puma560", "rx160")
+CATALOGUE += ("ur10e", "ur3e", "ur5", "ur5e")
+"""Some of the catalogue's arms of these families; `make verify` judges every one of the catalogue."""
 NAMES = (*CATALOGUE, *AWKWARD)
 
 DISTINCT = (

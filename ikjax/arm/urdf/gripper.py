@@ -1,6 +1,6 @@
 """Joints at the end of a chain that look like a gripper's, by their names or by their range.
 
-This is a guess, for a warning only.
+By their names it is a guess that chooses the tip where none is given; by their range, for a warning only.
 """
 
 import math
@@ -40,14 +40,15 @@ class Moved(NamedTuple):
 def gripper(chain: Sequence[Moved]) -> int:
     """How many joints at the end are probably a gripper's; never all."""
     count = 0
-    while count < len(chain) and _is_named(chain[-1 - count]):
+    while count < len(chain) and is_finger(chain[-1 - count]):
         count += 1
     if count == 0 and len(chain) >= _ENOUGH and _opens(chain[-1]):
         count = 1
     return count if count < len(chain) else 0
 
 
-def _is_named(moved: Moved) -> bool:
+def is_finger(moved: Moved) -> bool:
+    """Whether a joint has a finger's name, or moves a link that has one."""
     # A joint that is named by both its links, "a_to_b", belongs to the second.
     joint, link = moved.joint.lower().rpartition("_to_")[2], moved.link.lower()
     if _CARRIER.search(joint):

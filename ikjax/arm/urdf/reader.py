@@ -10,11 +10,12 @@ Source: the URDF specification, wiki.ros.org/urdf/XML/joint and wiki.ros.org/urd
 
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
 
+from ikjax.arm import tips
 from ikjax.arm.axes_to_dh import Axes
 from ikjax.arm.urdf.gripper import Moved, gripper
 from ikjax.arm.urdf.mimic import one_joint_a_motor
@@ -67,18 +68,22 @@ class UrdfChain(NamedTuple):
 
 
 def read_chain(
-    source: str | bytes | os.PathLike, base: str | None = None, tip: str | None = None
+    source: str | bytes | os.PathLike,
+    base: str | None = None,
+    tip: str | None = None,
+    fixed_joints: Mapping[str, float] | None = None,
 ) -> UrdfChain:
     """The serial chain of a URDF file.
 
     Args:
         source: A path, or the XML itself: bytes, or a str that starts with "<".
         base: Name of the first link; by default the one link without a parent.
-        tip: Name of the last link, below `base`; by default the one link there without a child.
+        tip: Name of the last link, below `base`; by default it is guessed, see `ikjax.arm.tips`.
+        fixed_joints: Joints of the chain by name that stay at a value [rad, m].
 
     Warns:
-        Where a revolute joint has no limits, where an axis has no unit length, and where the last joints
-        look like a gripper's.
+        Where the tip is guessed, where a revolute joint has no limits, where an axis has no unit length, and
+        where the last joints look like a gripper's.
 
     Raises:
         ArmFileError: The file is not plainly right, or does not hold such a chain.
@@ -89,14 +94,30 @@ def read_chain(
     tree = _build_tree(robot, links, named.values())
     base, path = _path(tree, base, tip)
     names = {joint.element.attributes.get("name"): joint for joint in path if joint.kind != "fixed"}
+    fixed = dict(fixed_joints or {})
+    unknown = [name for name in fixed if name not in names]
+    if unknown:
+        raise tree.robot.error(
+            f"fixed_joints names {listing(map(quote, unknown))}, no moving joint of the chain: "
+            f"it has {listing(quote(str(name)) for name in names)}"
+        )
     moving: list[_Joint] = []
     joints: list[UrdfJoint] = []
     pose = np.eye(4)
     for joint in path:
         pose = pose @ _origin(joint)
         if joint.kind != "fixed":
-            leader, factor, offset = _leader(joint, names)
+            leader, factor, offset = _leader(joint, names, fixed)
             kind, axis, (lower, upper) = KINDS[joint.kind], _axis(joint), _limits(joint)
+            if leader in fixed:
+                # At the value in the file's numbers, as are the limits.
+                value = factor * float(fixed[leader]) + offset
+                if joint.element.attributes.get("name") == leader and not lower <= value <= upper:
+                    raise joint.element.error(
+                        f"fixed_joints holds it at {value:g}, outside its limits {lower:g} to {upper:g}"
+                    )
+                pose = pose @ _moved(kind, axis, value)
+                continue
             pose = pose @ _moved(kind, axis, offset)
             if factor == 0:
                 continue
@@ -142,7 +163,7 @@ def axes_of(chain: UrdfChain) -> tuple[Axes, np.ndarray | None, list[tuple[float
         raise ArmFileError(
             f"{show(chain.name)}: joint {quote(first.name)} mimics {quote(first.leader)}: among parallel "
             f"neighbors such joints become one a motor, here {len(rows)} are left for {len(motors)} motors. "
-            "Choose base= and tip= on one side of it, or make it fixed"
+            f"Choose base= and tip= on one side of it, or fixed_joints={{{quote(first.leader)}: value}}"
         )
     return given, rows, limits
 
@@ -240,12 +261,7 @@ def _path(tree: _Tree, base: str | None, tip: str | None) -> tuple[str, list[_Jo
         if name is not None and name not in tree.below:
             raise tree.robot.error(f"{key}={quote(name)} is none of {listing(map(quote, tree.below))}")
     counts = _walk(tree, base)
-    leaves = [link for link in counts if not tree.below[link]]
-    if tip is None and len(leaves) > 1:
-        listed = listing(f"{quote(leaf)} ({counts[leaf]} moving joints)" for leaf in leaves)
-        reason = f"{len(leaves)} leaf links below {quote(base)}, give one as tip=: {listed}"
-        raise tree.robot.error(reason)
-    link = leaves[0] if tip is None else tip
+    link = _guessed(tree, base, counts) if tip is None else tip
     if link not in counts:
         raise tree.robot.error(f"tip link {quote(link)} is not below base link {quote(base)}")
     path: list[_Joint] = []
@@ -255,16 +271,48 @@ def _path(tree: _Tree, base: str | None, tip: str | None) -> tuple[str, list[_Jo
     return base, [_supported(joint) for joint in path[::-1]]
 
 
+def _guessed(tree: _Tree, base: str, counts: dict[str, int]) -> str:
+    """The tip link where none is given: the one leaf, or a guess, which is reported."""
+    leaves = [link for link in counts if not tree.below[link]]
+    order = list(counts)
+    place = {link: i for i, link in enumerate(order)}
+    links = []
+    for link in order:
+        if link == base:
+            links.append(tips.Link(link, -1))
+            continue
+        joint = tree.above[link]
+        name = joint.element.attributes.get("name") or ""
+        moved = () if joint.kind == "fixed" else (Moved(name, link, "R", -np.inf, np.inf),)
+        mimics = joint.element.children.get("mimic")
+        leader = name if mimics is None else mimics.attributes.get("joint") or name
+        links.append(tips.Link(link, place[joint.parent], moved, leader))
+    guess = tips.guess_tip(links)
+    if len(leaves) == 1 and (isinstance(guess, list) or not guess.left_out):
+        return leaves[0]
+    if isinstance(guess, list):
+        listed = listing(f"{quote(leaf)} ({counts[leaf]} moving joints)" for leaf in leaves)
+        raise tree.robot.error(f"{len(leaves)} leaf links below {quote(base)}, give one as tip=: {listed}")
+    tip = order[guess.link]
+    warn(tips.report(str(tree.robot.error("")).rstrip(": "), quote(tip), guess))
+    return tip
+
+
 def _supported(joint: _Joint) -> _Joint:
     if joint.kind != "fixed" and joint.kind not in KINDS:
         raise joint.element.error(f"type {quote(joint.kind)} must be one of fixed, {', '.join(KINDS)}")
     return joint
 
 
-def _leader(joint: _Joint, chain: dict[str | None, _Joint]) -> tuple[str, float, float]:
-    """The joint that this one mimics in the end, or itself, and the factor and offset to that one's value."""
+def _leader(
+    joint: _Joint, chain: dict[str | None, _Joint], fixed: Mapping[str, float]
+) -> tuple[str, float, float]:
+    """The joint that this one mimics in the end, or itself, and the factor and offset to that one's value.
+
+    One that is fixed mimics no other.
+    """
     factor, offset, seen = 1.0, 0.0, set()
-    while "mimic" in joint.element.children:
+    while "mimic" in joint.element.children and joint.element.attributes.get("name") not in fixed:
         mimic = joint.element.children["mimic"]
         name = mimic.required("joint")
         seen.add(joint.element.attributes.get("name"))

@@ -9,7 +9,7 @@ Source: the XML specification, w3.org/TR/xml; defusedxml for the attacks.
 import os
 import re
 from collections.abc import Callable, Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from xml.sax import SAXParseException
 from xml.sax.handler import ContentHandler
 
@@ -74,16 +74,35 @@ def is_xacro(text: str) -> bool:
     return "${" in text or "$(" in text
 
 
-def load(source: str | bytes | os.PathLike) -> tuple[str, str]:
-    """The file's name and its text."""
+def load(source: Any) -> tuple[str, str]:
+    """The file's name and its text, of whatever `Arm.from_urdf` takes."""
+    if hasattr(source, "write_xml_string"):
+        # A `yourdfpy.URDF`, which writes its numbers to the last digit, and ASCII.
+        written = source.write_xml_string().partition(b"?>")[2]
+        return "<yourdfpy.URDF>", _decode("<yourdfpy.URDF>", written)
     if isinstance(source, bytes):
         return "<string>", _decode("<string>", source)
     if isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<"):
         # Half a surrogate pair passes here, and is refused with other broken UTF-8.
         return "<string>", _decode("<string>", source.encode("utf-8", "surrogatepass"))
     name = os.fsdecode(source)
+    if name.endswith(".xacro"):
+        return name, _decode(name, _expanded(name))
     with open(name, "rb") as file:
         return name, _decode(name, file.read(MAX_BYTES + 1))
+
+
+def _expanded(file: str) -> bytes:
+    """A xacro file as URDF, by the package xacro, which evaluates what it says: it must be trusted."""
+    try:
+        import xacro
+    except ImportError:
+        reason = "is xacro: pip install xacro, which evaluates the file, or expand it first"
+        raise file_error(file, 0, "", reason) from None
+    try:
+        return xacro.process_file(file).toxml().encode()
+    except xacro.XacroException as error:
+        raise file_error(file, 0, "", f"xacro cannot expand it: {error}") from error
 
 
 def _decode(file: str, data: bytes) -> str:
