@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ikjax.arm.arm import Arm
+from ikjax.arm.recognition import lock
+from ikjax.core.text import line
 from ikjax.maps import statistics
 from ikjax.maps.sets.orientations import Orientations
 from ikjax.maps.sets.orientations import from_spec as orientations_from_spec
@@ -62,6 +64,16 @@ class ReachMap:
     """Of a sweep into a store: what was there before. Else None."""
     redundancy_samples: int = 1
     """Values of each redundant joint of which one has to reach a goal; 1 where there is none."""
+    title: str = ""
+    """What tells it from other maps, for pictures and pages; empty where nothing was said."""
+
+    def __post_init__(self):
+        object.__setattr__(self, "title", line(self.title))
+
+    @property
+    def heading(self) -> str:
+        """The title, with the arm's name before it."""
+        return f"{self.arm.name}, {self.title}" if self.title else self.arm.name
 
     def _read(self, name: str) -> np.ndarray:
         """A statistic, read whole; ValueError where the map was made without it."""
@@ -148,6 +160,9 @@ class ReachMap:
             if f"solutions{end}" in self.arrays and f"reachable{end}" in self.arrays:
                 solutions, reached = self._read(f"solutions{end}"), self._read(f"reachable{end}")
                 figures[f"solutions_per_goal{end}"] = float(solutions.sum() / max(reached.sum(), 1))
+        if statistics.LIMITED_BY in self.arrays:
+            lost = self._read(statistics.LIMITED_BY).reshape(-1, self.arm.n).sum(0, dtype=np.int64)
+            figures[statistics.LIMITED_BY] = (lost / self.goals).tolist()
         rate = self.goals / self.seconds if self.seconds else 0.0
         return {**figures, "seconds": self.seconds, "goals_per_second": rate}
 
@@ -180,7 +195,7 @@ class ReachMap:
         redundant = " and ".join(self.arm.redundant)
         values = f", {self.redundancy_samples} values of {redundant}" if redundant else ""
         lines = [
-            f"{self.arm.name}: {n['goals']:,} goals, {self.positions.in_words()} "
+            f"{self.heading}: {n['goals']:,} goals, {self.positions.in_words()} "
             f"x {n['orientations']:,} orientations{rolls}{values}"
         ]
         if "reach" in n:
@@ -211,6 +226,8 @@ class ReachMap:
                 f"  limits cost       {n['goals_reachable']:.1%} of goals fall to "
                 f"{n['goals_reachable_within']:.1%}"
             )
+        if statistics.LIMITED_BY in n:
+            lines.append(f"  of these          {self._limits_in_words(n[statistics.LIMITED_BY])}")
         kind = (
             f"{self.dtype}{', certified in float64' if manifest.is_certified(self.statistic_specs) else ''}"
         )
@@ -219,6 +236,13 @@ class ReachMap:
             f"{n['seconds']:.2f} s"
         )
         return "\n".join(lines)
+
+    def _limits_in_words(self, lost: list[float]) -> str:
+        """Which joint's limits cost goals that no other limits cost, the most first."""
+        names = self.arm.joint_names or lock.numbered(self.arm.n)
+        order = sorted(range(self.arm.n), key=lambda i: -lost[i])
+        words = [f"{names[i]} {lost[i]:.2%}" for i in order if lost[i] > 0]
+        return f"lost to one joint alone: {', '.join(words)}" if words else "none is lost to one joint alone"
 
     def to_numpy(self) -> dict[str, np.ndarray]:
         """Every statistic, read whole."""
@@ -263,7 +287,7 @@ class ReachMap:
             if chunk is None
             else tuple(chunk)
         )
-        head = manifest.Head(spec, manifest.arm_spec(self.arm), chunk, "sweeping", 0.0)
+        head = manifest.Head(spec, manifest.arm_spec(self.arm), chunk, "sweeping", 0.0, self.title)
         storage, values = Storage(out), self.to_numpy()
         with Lock(storage):
             disk = store.begin(storage, head, fixed, resume=False, force=force, chunk_given=True)
@@ -300,6 +324,7 @@ class ReachMap:
             arrays={name: arrays[name] for name in head.names},
             seconds=head.seconds,
             redundancy_samples=head.spec.get(manifest.SAMPLES, 1),
+            title=head.title,
         )
 
 
