@@ -142,6 +142,7 @@ def build_parser() -> argparse.ArgumentParser:
     sweep.add_argument("--process", type=int, metavar="I", help=argparse.SUPPRESS)
     sweep.add_argument("--compare", metavar="MAP", help="an earlier map to compare with")
     sweep.add_argument("--picture", help="write a PNG here")
+    sweep.add_argument("--goals", metavar="GOALS.csv", help="draw these into a plan of one layer")
     _add_dtype(sweep, "--float64")
     sweep.add_argument("--certify", action="store_true", help="solve uncertain goals again in float64")
     whole_arm.add_options(sweep)
@@ -157,6 +158,8 @@ def build_parser() -> argparse.ArgumentParser:
     show.add_argument("other", nargs="?", metavar="SECOND", help="a map to compare with the first")
     show.add_argument("--page", help="write the page here, by default MAP.html with MAP.png")
     show.add_argument("--picture", help="write a PNG here; alone, no page")
+    show.add_argument("--goals", metavar="GOALS.csv", help="draw these into a plan of one layer")
+    show.set_defaults(radians=False)
     show.add_argument("--viewer", action="store_true", help="turn the map in a browser, on 127.0.0.1 only")
     show.add_argument("--port", type=int, default=8080, help="of the viewer, 8080 by default")
 

@@ -6,6 +6,7 @@ import urllib.parse
 from typing import Any
 
 import ikjax
+from ikjax.cli import table, whole_arm
 from ikjax.cli.output import print_error, print_result
 from ikjax.maps import reach_map
 from ikjax.maps.store.storage import Storage
@@ -100,11 +101,14 @@ def _draw(options, reach: ikjax.ReachMap, earlier: ikjax.ReachMap | None, page: 
     from ikjax import plot
 
     text = ""
+    goals = None
+    if options.goals:
+        goals = table.read_goals(options.goals, whole_arm.angle_unit(options))
     if options.picture:
         if page and earlier is not None and earlier.positions == reach.positions:
-            plot.comparison(earlier, reach, options.picture)
+            plot.comparison(earlier, reach, options.picture, goals=goals)
         else:
-            plot.reach_map(reach, options.picture)
+            plot.reach_map(reach, options.picture, goals=goals)
         text += f"\n  picture           {options.picture}"
     if page:
         from ikjax.plot.page import page as html_of

@@ -20,6 +20,23 @@ from ikjax.maps.store.lock import Lock
 from ikjax.maps.store.storage import Storage
 
 
+class Measured(NamedTuple):
+    """What positions of a box grid are measured by."""
+
+    name: str
+    unit: str
+    whole: str
+    """What all of them are."""
+
+
+MEASURES = {
+    3: Measured("volume", "m^3", "the box"),
+    2: Measured("area", "m^2", "the layer"),
+    1: Measured("length", "m", "the line"),
+}
+"""By the dimension of the grid."""
+
+
 class Units(NamedTuple):
     """What a sweep found at `out` when it started."""
 
@@ -144,8 +161,9 @@ class ReachMap:
     def numbers(self) -> dict[str, Any]:
         """The headline figures by name, as far as the statistics give them: see `summary` for their meaning.
 
-        Volumes are in m^3; `reach` and `height` [m] are measured from the base of axis 1, across and along
-        that axis; the rest are numbers, shares from 0 to 1, and seconds.
+        Volumes are in m^3, areas of one layer in m^2, lengths of one line in m. `reach` and `height` [m] are
+        measured from the base of axis 1, across and along that axis; the rest are numbers, shares from 0 to
+        1, and seconds.
         """
         figures: dict[str, Any] = {
             "positions": self.positions.count,
@@ -174,7 +192,12 @@ class ReachMap:
         height = offset @ base[:3, 2]
         across = offset - height[:, None] * base[:3, 2]
         volumes = {}
-        if not isinstance(self.positions, Surface):
+        if isinstance(self.positions, Grid):
+            measure = MEASURES.get(self.positions.dimension)
+            if measure is not None:
+                volumes[measure.name] = self.positions.size(hit)
+                volumes[f"dexterous_{measure.name}"] = self.positions.size(dexterity >= 0.5)
+        elif not isinstance(self.positions, Surface):
             volumes["volume"] = self.positions.volume(hit)
             volumes["dexterous_volume"] = self.positions.volume(dexterity >= 0.5)
         return {
@@ -199,15 +222,13 @@ class ReachMap:
             f"x {n['orientations']:,} orientations{rolls}{values}"
         ]
         if "reach" in n:
-            part = (
-                "the points"
-                if "volume" not in n
-                else "the box"
-                if isinstance(self.positions, Grid)
-                else "them"
-            )
-            volume = f", {n['volume']:.3f} m^3" if "volume" in n else ""
-            half = f"{n['dexterous_volume']:.3f} m^3" if volume else f"{n['positions_dexterous']:.1%} of them"
+            measure = next((each for each in MEASURES.values() if each.name in n), None)
+            part = "the points" if measure is None else measure.whole
+            part = part if isinstance(self.positions, Grid | Surface) else "them"
+            volume, half = "", f"{n['positions_dexterous']:.1%} of them"
+            if measure is not None:
+                volume = f", {n[measure.name]:.3f} {measure.unit}"
+                half = f"{n[f'dexterous_{measure.name}']:.3f} {measure.unit}"
             lines += [
                 f"  reach             {n['reach']:.3f} m from axis 1, up to {n['height']:+.3f} m",
                 f"  positions reached {n['positions_reachable']:.1%} of {part}{volume}",
@@ -342,9 +363,13 @@ FIGURES = (
     ("reach", "{:.3f} m"),
     ("height", "{:+.3f} m"),
     ("volume", "{:.3f} m^3"),
+    ("area", "{:.3f} m^2"),
+    ("length", "{:.3f} m"),
     ("mean_dexterity", "{:.2%}"),
     ("best_dexterity", "{:.2%}"),
     ("dexterous_volume", "{:.3f} m^3"),
+    ("dexterous_area", "{:.3f} m^2"),
+    ("dexterous_length", "{:.3f} m"),
     ("solutions_per_goal", "{:.3f}"),
     ("solutions_per_goal_within", "{:.3f}"),
     ("goals_per_second", "{:,.0f}"),

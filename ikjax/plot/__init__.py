@@ -5,9 +5,10 @@ Needs matplotlib (`pip install ikjax[viz]`), which is imported for the first pic
 `plt.show()`; with a path it is saved and closed. All lengths are in metres, with the same scale on all axes.
 """
 
-from ikjax.plot.bars import histogram
+from ikjax.plot.bars import histogram, limit_costs
 from ikjax.plot.contrast import Change, change, comparison
 from ikjax.plot.disc import globe
+from ikjax.plot.plan import plan
 from ikjax.plot.planes import Plane, Slice
 from ikjax.plot.redundant import self_motion
 from ikjax.plot.slices import reach_map
