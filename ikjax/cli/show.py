@@ -1,7 +1,9 @@
 """`ikjax show`, and the report of a sweep: a map as a summary, a picture, a page, or in a viewer."""
 
+import contextlib
 import pathlib
 import re
+import sys
 import urllib.parse
 from typing import Any
 
@@ -21,11 +23,14 @@ def run_show(options) -> int:
 
         if options.other:
             raise ValueError("--viewer shows one map")
-        Viewer(maps[0], port=options.port).run()
+        print("compiling; Ctrl-C ends it", file=sys.stderr, flush=True)
+        # At any moment: also while the first solution compiles.
+        with contextlib.suppress(KeyboardInterrupt):
+            Viewer(maps[0], port=options.port).run()
         return 0
     asked = bool(options.page)
     if not (asked or options.picture or options.json):
-        stem = _stem(options.other or options.map)
+        stem = "-".join(_stem(name) for name in (options.map, options.other) if name)
         options.page = f"{stem}.html"
         # A map of other statistics than counts has a page, but no such picture.
         if all({"reachable", "reachable_within"} <= each.arrays.keys() for each in maps):

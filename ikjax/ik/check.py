@@ -21,6 +21,9 @@ from ikjax.ik.solve import as_goals, solve
 from ikjax.solvers.families import FAMILIES
 from ikjax.solvers.pipeline import as_solved
 
+MOST_NAMED = 20
+"""Goals that an error names, at most."""
+
 
 def check_goals(arm: Arm, goals: ArrayLike) -> None:
     """Raise unless every goal is a pose; `solve` would mask those that are not.
@@ -30,8 +33,8 @@ def check_goals(arm: Arm, goals: ArrayLike) -> None:
         goals: T_world_tool, (..., 4, 4).
 
     Raises:
-        ValueError: Naming the first goal that is not finite, whose bottom row is not (0, 0, 0, 1), or whose
-            rotation is off by more than 1e-5, with what was found. Also inside jit, vmap or grad.
+        ValueError: Naming the goals (up to twenty) that are not finite, whose bottom row is not (0, 0, 0, 1),
+            or whose rotation is off by more than 1e-5, with what was found. Also inside jit, vmap or grad.
 
     Warns:
         Where a goal is more than ten reaches from the base, as one in millimetres is.
@@ -41,12 +44,14 @@ def check_goals(arm: Arm, goals: ArrayLike) -> None:
     matrices = np.asarray(as_goals(goals), float)
     flat, batch = matrices.reshape(-1, 4, 4), matrices.shape[:-2]
 
-    def first(bad: np.ndarray) -> tuple[str, np.ndarray]:
-        """The name of the first bad goal, and the goal."""
-        i = int(np.argmax(bad))
-        index = tuple(map(int, np.unravel_index(i, batch))) if batch else ()
-        others = f" (and {bad.sum() - 1} more)" if bad.sum() > 1 else ""
-        return f"goals{list(index) if index else ''}{others}", flat[i]
+    def first(bad: np.ndarray, named: bool = True) -> tuple[str, np.ndarray]:
+        """The name of the first bad goal, with those of the others or their number, and the goal."""
+        found = np.flatnonzero(bad)
+        names = [str(list(map(int, np.unravel_index(i, batch)))) if batch else "" for i in found[:MOST_NAMED]]
+        rest = [*names[1:], *(["..."] if len(found) > MOST_NAMED else [])]
+        listed = f": {', '.join(rest)}" if named else ""
+        others = f" (and {len(found) - 1} more{listed})" if len(found) > 1 else ""
+        return f"goals{names[0]}{others}", flat[found[0]]
 
     bad = ~np.isfinite(flat).all((1, 2))
     if bad.any():
@@ -74,7 +79,7 @@ def check_goals(arm: Arm, goals: ArrayLike) -> None:
     distance = np.linalg.norm(flat[:, :3, 3] - np.asarray(arm.base, float)[:3, 3], axis=1)
     far = distance > MILLIMETRES * size
     if far.any() and size > 0:
-        name, _ = first(far)
+        name, _ = first(far, named=False)
         warn(
             f"{name} lies {distance[far][0]:.4g} m from the base, the arm reaches {size:.3g} m: "
             "are these millimetres?"

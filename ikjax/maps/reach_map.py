@@ -50,6 +50,8 @@ class Units(NamedTuple):
     """Units whose chunks were all there, but not as they had been written."""
 
     def __str__(self) -> str:
+        if self.missing == self.total:
+            return f"new map, {self.total} unit{'s' if self.total > 1 else ''}"
         return f"{self.kept} of {self.total} units kept, {self.missing} missing, {self.damaged} damaged"
 
 
@@ -91,6 +93,17 @@ class ReachMap:
     def heading(self) -> str:
         """The title, with the arm's name before it."""
         return f"{self.arm.name}, {self.title}" if self.title else self.arm.name
+
+    def __repr__(self) -> str:
+        rolls = f" x {self.free_rolls} free rolls" if self.free_rolls > 1 else ""
+        lines = [
+            f"<ReachMap of {self.heading}: {self.positions.in_words()}",
+            f"  {self.orientation_count:,} orientations{rolls}, {self.dtype}",
+            f"  statistics: {', '.join(self.arrays)}",
+        ]
+        if isinstance(self.arrays.get("reachable_within"), np.ndarray):  # a stored one is not read for this
+            lines.append(f"  {(self.reachable_within > 0).mean():.1%} of the positions are reached")
+        return "\n".join(lines) + ">"
 
     def _read(self, name: str) -> np.ndarray:
         """A statistic, read whole; ValueError where the map was made without it."""
@@ -284,7 +297,18 @@ class ReachMap:
             name: ((*self.positions.axes, *self.statistic_specs[name]["axes"]), value)
             for name, value in self.to_numpy().items()
         }
-        facts = {"arm": self.arm.name, "orientations": self.orientation_count, "dtype": self.dtype}
+        facts: dict[str, Any] = {
+            "arm": self.arm.name,
+            "title": self.title,
+            "tool": np.asarray(self.arm.tool, float).ravel().tolist(),
+            "base": np.asarray(self.arm.base, float).ravel().tolist(),
+            "branches": list(self.arm.branches),
+            "joints": list(self.arm.joint_names or lock.numbered(self.arm.n)),
+            "units": "m, rad; tool is T_flange_tool, base T_world_base, row by row",
+            "orientations": self.orientation_count,
+            "free_rolls": self.free_rolls,
+            "dtype": self.dtype,
+        }
         return xarray.Dataset(values, coords=coords, attrs={**facts, "ikjax_schema": manifest.SCHEMA})
 
     def save(

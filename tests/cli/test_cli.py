@@ -216,11 +216,11 @@ def test_a_map_has_a_page_and_two_maps_are_compared(run, swept, tmp_path, monkey
     assert (
         out.startswith("gx4_351s: ")
         and "positions that differ      0" in out
-        and "page              a.html" in out
+        and "page              a-a.html" in out
     )
-    text = (tmp_path / "a.html").read_text()
+    text = (tmp_path / "a-a.html").read_text()
     assert "Compared" in text and "0 better" not in text  # the counts are in the picture
-    assert (tmp_path / "a.png").stat().st_size > 10_000
+    assert (tmp_path / "a-a.png").stat().st_size > 10_000
 
 
 def test_without_matplotlib_a_map_still_has_its_summary(run, swept, tmp_path, monkeypatch):
