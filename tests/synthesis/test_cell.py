@@ -123,17 +123,18 @@ def test_a_design_counts_a_goal_with_a_free_roll_once():
 
 @pytest.mark.slow
 def test_a_cone_and_a_point_alone_are_alternatives():
-    arm = ikjax.robots.puma560()
-    goals = np.asarray(ikjax.pose(np.array([[0.6, 0.1, 0.7], [0.5, -0.3, -0.3]]), rpy=np.zeros((2, 3))))
-    options = {"move": ["x"], "bounds": {"x": (-0.2, 0.2)}, "spacing": 0.2, "starts": 2, "steps": 0}
-    lean = ikjax.maps.cone((0, 0, 1), 0.6, 10)
-    for alternatives in (lean, ikjax.maps.even_rotations(40)):
-        found = ikjax.place(arm, goals, alternatives=alternatives, free_rolls=3, **options)
-        others = checked_alternatives(3, alternatives)
-        np.testing.assert_array_equal(found.reached[0], reached_by_hand(arm, found.base[0], goals, others))
+    """Of a SCARA's goals that lean, some alternative stands upright."""
+    xyz = np.array([[0.25, 0.1, -0.05], [0.2, -0.1, -0.05]])
+    goals = np.asarray(ikjax.pose(xyz, rpy=np.zeros((2, 3))))
+    options = {"move": ["x"], "bounds": {"x": (-0.1, 0.1)}, "spacing": 0.1, "starts": 2, "steps": 0}
+    turned = np.asarray(ikjax.pose(rpy=np.array([[0.5, 0, 0], [0, 0, 2.0], [0, 0, 4.0]])))[:, :3, :3]
+    for alternatives in (ikjax.maps.cone((0, 0, 1), 0.0, 1), turned):
+        found = ikjax.place(SCARA, goals, alternatives=alternatives, **options)
+        others = checked_alternatives(1, alternatives)
+        np.testing.assert_array_equal(found.reached[0], reached_by_hand(SCARA, found.base[0], goals, others))
     assert found.share[0] == 1
     with pytest.raises(ValueError, match="at most 1024"):
-        ikjax.place(arm, goals, alternatives=1000, free_rolls=2)
+        ikjax.place(SCARA, goals, alternatives=1000, free_rolls=2)
 
 
 def test_boxes_regions_and_points_are_measured_as_by_hand(rng):
@@ -180,6 +181,20 @@ class Compilations:
 def _hear(name, *_, **__):
     for each in Compilations.entered:
         each.count += name == "/jax/core/compile/backend_compile_duration"
+
+
+def test_another_grid_compiles_nothing_of_sweep():
+    first = ikjax.maps.grid((-0.3, -0.3, -0.1), (0.3, 0.3, 0.0), 0.05)
+    second = ikjax.maps.grid((-0.2, -0.3, -0.05), (0.35, 0.3, -0.05), 0.02)
+    ikjax.sweep(SCARA, first, 4)
+    with Compilations() as none:
+        found = ikjax.sweep(SCARA, second, 4)
+    assert none.count == 0
+    with Compilations() as some:
+        again = ikjax.sweep(dataclasses.replace(SCARA, tool=np.asarray(SCARA.tool) + 0.0), second, 4)
+        ikjax.sweep(SCARA, second, 5)
+    assert some.count > 0
+    np.testing.assert_array_equal(found.reachable, again.reachable)
 
 
 def test_other_points_and_bounds_compile_nothing_of_place():
