@@ -18,6 +18,8 @@ from ikjax.core.pose import position as position
 from ikjax.core.pose import to_wxyz_xyz as to_wxyz_xyz
 from ikjax.ik.check import check_goals as check_goals
 from ikjax.ik.check import explain as explain
+from ikjax.ik.free_roll import FreeRolls as FreeRolls
+from ikjax.ik.free_roll import free_roll as free_roll
 from ikjax.ik.margins import best_margin as best_margin
 from ikjax.ik.margins import limited_margins as limited_margins
 from ikjax.ik.margins import smooth_max as smooth_max

@@ -11,7 +11,7 @@ import pytest
 
 import ikjax
 from ikjax import cli
-from ikjax.cli import study_file
+from ikjax.cli import whole_arm
 from ikjax.maps import reach_map
 from ikjax.maps.sets.positions import Grid
 from ikjax.maps.store import log
@@ -76,14 +76,14 @@ def test_a_terminal(reach, tmp_path, capsys, monkeypatch):
     reach.save(tmp_path / "map.zarr")
     assert cli.main(["show", str(tmp_path / "map.zarr"), "--json"]) in (0, 1)
     assert json.loads(capsys.readouterr().out)["arm"] == ARM.name
-    monkeypatch.setattr(study_file, "find_arm", lambda name, **options: ARM)
+    monkeypatch.setattr(whole_arm, "find_arm", lambda name, **options: ARM)
     assert cli.main(["info", "x"]) == 0
     is_one_line_of(ARM.name, capsys.readouterr().out)
 
 
 @pytest.mark.slow
 def test_a_table_in_markdown(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(study_file, "find_arm", lambda name, **options: ARM)
+    monkeypatch.setattr(whole_arm, "find_arm", lambda name, **options: ARM)
     table = tmp_path / "table.md"
     assert cli.main(["verify", "x", "-n", "10", "--out", str(table)]) == 0
     is_one_line_of(ARM.name, capsys.readouterr().out)

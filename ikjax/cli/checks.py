@@ -9,15 +9,15 @@ import jax
 import numpy as np
 
 import ikjax
-from ikjax.cli import study_file
-from ikjax.cli.output import file_options, print_result
+from ikjax.cli import whole_arm
+from ikjax.cli.output import print_result
 from ikjax.core.text import markdown
 
 
 def run_verify(options) -> int:
     dtype = np.float32 if options.other_dtype else np.float64
     reports = [
-        ikjax.verify(study_file.find_arm(name, **file_options(options)), options.count, dtype=dtype)
+        ikjax.verify(whole_arm.from_options(options, name), options.count, dtype=dtype)
         for name in options.arm or ikjax.robots.names()
     ]
     head = ("arm", "family", "type", "goals", "success", "wrong", "none", "missing", "singular", "worst")

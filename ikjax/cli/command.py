@@ -9,6 +9,7 @@ import jax
 
 from ikjax.cli.output import print_error, with_flags
 from ikjax.cli.parser import build_parser
+from ikjax.cli.waiting import saying_so_when_it_takes_long
 
 
 def main(argv=None) -> int:
@@ -24,7 +25,8 @@ def main(argv=None) -> int:
     try:
         with warnings.catch_warnings():
             warnings.showwarning = lambda message, *_: print_error(with_flags(options, str(message)))
-            return options.run(options)
+            with saying_so_when_it_takes_long(not options.json):
+                return options.run(options)
     except BrokenPipeError:  # the reader, such as `head`, has closed the pipe
         sys.stdout = None
         return 0

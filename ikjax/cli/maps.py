@@ -7,8 +7,8 @@ import sys
 import jax
 
 import ikjax
-from ikjax.cli import study_file
-from ikjax.cli.output import FILE_OPTIONS, file_options, print_error
+from ikjax.cli import study_file, whole_arm
+from ikjax.cli.output import is_study, print_error
 from ikjax.cli.show import check_places, report
 from ikjax.cli.stop import OTHERS_ENDED, Stop
 from ikjax.core.text import line
@@ -20,21 +20,23 @@ from ikjax.maps.sweep import SweepStoppedError
 
 def _requested_study(options) -> study_file.Study:
     """The study that a file or the options describe."""
-    if options.arm.endswith(".toml"):
-        names = ("spacing", "orientations", "redundancy_samples", "other_dtype", "certify")
-        for name in (*names, *FILE_OPTIONS):
-            if getattr(options, name):
-                flag = "float64" if name == "other_dtype" else name.replace("_", "-")
-                raise ValueError(f"--{flag} is for {options.arm} to say")
+    if is_study(options.arm):
+        names = ["spacing", "orientations", "free_rolls", "redundancy_samples", "other_dtype", "certify"]
+        names += ["statistics", "title"]
+        given = ["--float64" if name == "other_dtype" else f"--{name.replace('_', '-')}" for name in names
+                 if getattr(options, name)]  # fmt: skip
+        for flag in (*given, *whole_arm.given_options(options)):
+            raise ValueError(f"{flag} is for {options.arm} to say")
         return study_file.read(options.arm)
     if options.certify and options.other_dtype:
         raise ValueError("--certify is for float32 sweeps; --float64 needs none")
-    arm = study_file.find_arm(options.arm, **file_options(options))
+    arm = whole_arm.from_options(options, options.arm)
     orientations = 512 if options.orientations is None else options.orientations
     positions = ikjax.maps.around(arm, options.spacing or 0.05)
     dtype = "float64" if options.other_dtype else "float32"
-    rest = study_file.STATISTICS, None, dtype, options.certify, options.redundancy_samples
-    return study_file.Study(arm, positions, orientations, 1, *rest)
+    statistics = tuple(options.statistics or study_file.STATISTICS)
+    rest = statistics, None, dtype, options.certify, options.redundancy_samples, options.title
+    return study_file.Study(arm, positions, orientations, options.free_rolls or 1, *rest)
 
 
 def _join_processes(options) -> None:

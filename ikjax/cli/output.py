@@ -4,13 +4,19 @@ import json
 import re
 import sys
 
+from ikjax.cli.whole_arm import KEYS
 from ikjax.core.text import one_line, printable
 
-FILE_OPTIONS = ("base", "tip", "axis_tolerance")
+
+def is_study(name: object) -> bool:
+    """Whether a name is that of a study file."""
+    return str(name).lower().endswith(".toml")
 
 
 def print_result(options, text: str, data: dict) -> None:
     """Text for people, or the data as JSON."""
+    if getattr(options, "csv", None) == "-":
+        return  # the rows are there already
     print(json.dumps(data, allow_nan=False) if options.json else printable(text))
 
 
@@ -19,15 +25,8 @@ def print_error(message: object) -> None:
     print(f"ikjax: {one_line(message)}", file=sys.stderr)
 
 
-def file_options(options) -> dict:
-    """The given options of a robot file."""
-    return {key: getattr(options, key) for key in FILE_OPTIONS}
-
-
 def with_flags(options, text: str) -> str:
     """The library's text, with --tip for tip= where the command has that option."""
-    if not hasattr(options, "tip") or str(options.arm).endswith(".toml"):
+    if not hasattr(options, "tip") or is_study(options.arm):
         return text
-    return re.sub(
-        rf"\b({'|'.join(FILE_OPTIONS)})=(:?)", lambda m: f"--{m[1].replace('_', '-')}{m[2] or ' '}", text
-    )
+    return re.sub(rf"\b({'|'.join(KEYS)})=(:?)", lambda m: f"--{m[1].replace('_', '-')}{m[2] or ' '}", text)

@@ -5,14 +5,29 @@ import math
 from typing import NoReturn
 
 import ikjax
+from ikjax.cli import whole_arm
 from ikjax.cli.checks import run_doctor, run_verify
-from ikjax.cli.info import run_info, run_solve
+from ikjax.cli.completion import SHELLS, run_completion
+from ikjax.cli.info import run_convert, run_info
 from ikjax.cli.maps import run_sweep
+from ikjax.cli.new_study import run_study
 from ikjax.cli.show import run_show
+from ikjax.cli.solving import run_project, run_solve, run_track
 from ikjax.cli.stop import OTHERS_ENDED, TIME_IS_UP
 from ikjax.core.text import one_line
 
 ARM_HELP = "an arm of the catalogue, or a URDF file"
+
+GOALS_HELP = (
+    "CSV with columns x, y, z and roll, pitch, yaw or qw, qx, qy, qz, a unit such as [mm] behind a name; "
+    "- for standard input"
+)
+
+STUDY_HELP = """\
+A study file says all of this in one place: `ikjax study new` writes one with comments, `ikjax study keys`
+lists every key, `ikjax study statistics` what can be counted.
+
+"""
 
 SWEEP_EXIT_CODES = f"""\
 Beside a map in a folder is its log, MAP.log. Exit codes:
@@ -62,33 +77,61 @@ def build_parser() -> argparse.ArgumentParser:
 
     info = command(run_info, "info", "List the catalogue, or describe one arm.")
     info.add_argument("arm", nargs="?", help=ARM_HELP)
-    _add_file_options(info)
+    whole_arm.add_options(info)
 
-    solve = command(run_solve, "solve", "Every branch of one goal.")
+    convert = command(run_convert, "convert", "Print an arm as a call of Arm.from_dh.")
+    convert.add_argument("arm", help=ARM_HELP)
+    whole_arm.add_options(convert)
+
+    solve = command(run_solve, "solve", "Every branch of one goal, or of each goal of a file.")
     solve.add_argument("arm", help=ARM_HELP)
-    _add_file_options(solve)
-    solve.add_argument("--xyz", nargs=3, type=float, required=True, metavar=("X", "Y", "Z"), help="[m]")
-    turn = solve.add_mutually_exclusive_group()
-    turn.add_argument("--rpy", nargs=3, type=float, metavar=("R", "P", "Y"), help="[rad]")
-    turn.add_argument("--wxyz", nargs=4, type=float, metavar=("W", "X", "Y", "Z"))
-    turn.add_argument("--xyzw", nargs=4, type=float, metavar=("X", "Y", "Z", "W"))
-    turn.add_argument("--rotvec", nargs=3, type=float, metavar=("X", "Y", "Z"), help="[rad]")
-    solve.add_argument("--q-now", nargs="+", type=float, help="present joints [rad]: arbitrary ones stay")
-    solve.add_argument("--redundancy", nargs="+", type=float, help="values of redundant joints [rad, m]")
+    _add_goals(solve)
+    _add_start(solve, "present joints: arbitrary ones stay, and the nearest branch is named")
+    solve.add_argument("--redundancy", nargs="+", type=float, help="values of redundant joints [deg, m]")
     solve.add_argument("--limits", action="store_true", help="only what is within the joint limits counts")
-    solve.add_argument("--radians", action="store_true", help="print radians, not degrees")
+    solve.add_argument("--explain", action="store_true", help="say what each branch lacks")
     _add_dtype(solve, "--float32")
+    whole_arm.add_options(solve)
+
+    project = command(run_project, "project", "The nearest pose that an arm attains, for one goal or a file.")
+    project.add_argument("arm", help=ARM_HELP)
+    _add_goals(project)
+    _add_length(project)
+    project.add_argument(
+        "--priority",
+        choices=["weighted", "position", "orientation"],
+        default="weighted",
+        help="what is first",
+    )
+    _add_dtype(project, "--float32")
+    whole_arm.add_options(project)
+
+    track = command(run_track, "track", "Follow a path of goals on one branch.")
+    track.add_argument("arm", help=ARM_HELP)
+    track.add_argument("goals", metavar="GOALS.csv", help=GOALS_HELP)
+    _add_turn(track, "of goals that have a position alone")
+    _add_start(track, "joints before the first goal; by default those of the pose nearest to it")
+    _add_length(track)
+    _add_csv(track)
+    _add_dtype(track, "--float32")
+    whole_arm.add_options(track)
 
     sweep = command(run_sweep, "sweep", "Sweep an arm's workspace: a map, a picture, a summary.")
     sweep.formatter_class = argparse.RawDescriptionHelpFormatter
-    sweep.epilog = SWEEP_EXIT_CODES
+    sweep.epilog = STUDY_HELP + SWEEP_EXIT_CODES
     sweep.add_argument("arm", metavar="ARM|STUDY.toml", help=f"{ARM_HELP}, or a file with the whole study")
-    _add_file_options(sweep)
     sweep.add_argument("--spacing", type=_size, help="between positions [m], 0.05 by default")
     sweep.add_argument("--orientations", type=int, help="even ones at every position, 512 by default")
     sweep.add_argument(
+        "--free-rolls", type=int, metavar="N", help="turns about the tool of which one must do"
+    )
+    sweep.add_argument(
         "--redundancy-samples", type=int, metavar="N", help="values of redundant joints, 32 by default"
     )
+    sweep.add_argument(
+        "--statistics", nargs="+", metavar="NAME", help="what to count; `ikjax study statistics` lists them"
+    )
+    sweep.add_argument("--title", help="what tells this map from others, for pictures and pages")
     sweep.add_argument("--out", help="store the map here: a folder (zarr v3), or a URL such as s3://...")
     sweep.add_argument("--resume", action="store_true", help="continue the map at --out, or start it")
     sweep.add_argument("--force", action="store_true", help="replace a map; with --resume, another study's")
@@ -99,32 +142,70 @@ def build_parser() -> argparse.ArgumentParser:
     sweep.add_argument("--process", type=int, metavar="I", help=argparse.SUPPRESS)
     sweep.add_argument("--compare", metavar="MAP", help="an earlier map to compare with")
     sweep.add_argument("--picture", help="write a PNG here")
+    sweep.add_argument("--goals", metavar="GOALS.csv", help="draw these into a plan of one layer")
     _add_dtype(sweep, "--float64")
     sweep.add_argument("--certify", action="store_true", help="solve uncertain goals again in float64")
+    whole_arm.add_options(sweep)
+
+    study = command(run_study, "study", "Write a study file, or list what may stand in one.")
+    study.add_argument("action", choices=["new", "keys", "statistics"], help="new writes a commented study")
+    study.add_argument("file", nargs="?", default="study.toml", help="of `new`; - for standard output")
+    study.add_argument("--arm", default="puma560", help=f"of `new`: {ARM_HELP}")
+    study.add_argument("--force", action="store_true", help="replace a file")
 
     show = command(run_show, "show", "Summary, page (HTML) and picture of a stored map, or of two compared.")
     show.add_argument("map")
     show.add_argument("other", nargs="?", metavar="SECOND", help="a map to compare with the first")
     show.add_argument("--page", help="write the page here, by default MAP.html with MAP.png")
     show.add_argument("--picture", help="write a PNG here; alone, no page")
+    show.add_argument("--goals", metavar="GOALS.csv", help="draw these into a plan of one layer")
+    show.set_defaults(radians=False)
     show.add_argument("--viewer", action="store_true", help="turn the map in a browser, on 127.0.0.1 only")
     show.add_argument("--port", type=int, default=8080, help="of the viewer, 8080 by default")
 
     verify = command(run_verify, "verify", "Solve goals made by an arm's own joints and check every answer.")
     verify.add_argument("arm", nargs="*", help=f"{ARM_HELP}; all of the catalogue by default")
-    _add_file_options(verify)
+    whole_arm.add_options(verify)
     verify.add_argument("-n", type=_count, default=100_000, dest="count", help="random goals an arm")
     verify.add_argument("--out", help="write the table here, as Markdown")
     _add_dtype(verify, "--float32")
 
     command(run_doctor, "doctor", "Versions, devices, and a numeric self-check on this device.")
+    completion = command(run_completion, "completion", "Print a script that completes words in a shell.")
+    completion.add_argument("shell", choices=SHELLS, help="for example: source <(ikjax completion bash)")
     return top
 
 
-def _add_file_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--base", metavar="LINK", help="where a file's arm begins; by default the root")
-    parser.add_argument("--tip", metavar="LINK", help="where it ends; by default the one leaf")
-    parser.add_argument("--axis-tolerance", type=float, help="how far its axes may be off, 1e-5 by default")
+def _add_goals(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--xyz", nargs=3, type=float, metavar=("X", "Y", "Z"), help="the goal's position [m]")
+    parser.add_argument("--goals", metavar="GOALS.csv", help=GOALS_HELP)
+    _add_turn(parser, "its orientation, and that of a file's goals that have a position alone")
+    _add_csv(parser)
+
+
+def _add_turn(parser: argparse.ArgumentParser, what: str) -> None:
+    group = parser.add_argument_group("orientation", f"{what[0].upper()}{what[1:]}; none by default.")
+    turn = group.add_mutually_exclusive_group()
+    turn.add_argument("--rpy", nargs=3, type=float, metavar=("R", "P", "Y"), help="roll, pitch, yaw [deg]")
+    turn.add_argument("--wxyz", nargs=4, type=float, metavar=("W", "X", "Y", "Z"))
+    turn.add_argument("--xyzw", nargs=4, type=float, metavar=("X", "Y", "Z", "W"))
+    turn.add_argument("--rotvec", nargs=3, type=float, metavar=("X", "Y", "Z"), help="[deg]")
+
+
+def _add_start(parser: argparse.ArgumentParser, what: str) -> None:
+    parser.add_argument(
+        "--from", nargs="+", type=float, dest="start", metavar="Q", help=f"{what}; as printed [deg, m]"
+    )
+
+
+def _add_length(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--characteristic-length", type=_size, default=0.1, help="counts as much as 1 rad [m], 0.1 by default"
+    )
+
+
+def _add_csv(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--csv", metavar="FILE", help="write joints here as CSV; - for standard output")
 
 
 def _add_dtype(parser: argparse.ArgumentParser, flag: str) -> None:

@@ -1,11 +1,14 @@
 """`ikjax show`, and the report of a sweep: a map as a summary, a picture, a page, or in a viewer."""
 
+import contextlib
 import pathlib
 import re
+import sys
 import urllib.parse
 from typing import Any
 
 import ikjax
+from ikjax.cli import table, whole_arm
 from ikjax.cli.output import print_error, print_result
 from ikjax.maps import reach_map
 from ikjax.maps.store.storage import Storage
@@ -20,11 +23,14 @@ def run_show(options) -> int:
 
         if options.other:
             raise ValueError("--viewer shows one map")
-        Viewer(maps[0], port=options.port).run()
+        print("compiling; Ctrl-C ends it", file=sys.stderr, flush=True)
+        # At any moment: also while the first solution compiles.
+        with contextlib.suppress(KeyboardInterrupt):
+            Viewer(maps[0], port=options.port).run()
         return 0
     asked = bool(options.page)
     if not (asked or options.picture or options.json):
-        stem = _stem(options.other or options.map)
+        stem = "-".join(_stem(name) for name in (options.map, options.other) if name)
         options.page = f"{stem}.html"
         # A map of other statistics than counts has a page, but no such picture.
         if all({"reachable", "reachable_within"} <= each.arrays.keys() for each in maps):
@@ -100,11 +106,14 @@ def _draw(options, reach: ikjax.ReachMap, earlier: ikjax.ReachMap | None, page: 
     from ikjax import plot
 
     text = ""
+    goals = None
+    if options.goals:
+        goals = table.read_goals(options.goals, whole_arm.angle_unit(options))
     if options.picture:
         if page and earlier is not None and earlier.positions == reach.positions:
-            plot.comparison(earlier, reach, options.picture)
+            plot.comparison(earlier, reach, options.picture, goals=goals)
         else:
-            plot.reach_map(reach, options.picture)
+            plot.reach_map(reach, options.picture, goals=goals)
         text += f"\n  picture           {options.picture}"
     if page:
         from ikjax.plot.page import page as html_of

@@ -1,36 +1,20 @@
 """A study as a TOML file: which arm, where, in which orientations, and which statistics.
 
-A file is data: unknown keys are refused, and a path in it starts from the file's own folder.
-
-    arm = "puma560"                 # of the catalogue, or a URDF file, and for a file
-    base = "base_link"              # the link it starts from, by default the root
-    tip = "tool0"                   # the link it ends at, by default the one leaf
-    axis_tolerance = 1e-3           # see `Arm.from_urdf`
-    spacing = 0.03                  # [m]
-    orientations = 512              # even ones; or { wxyz = [[1, 0, 0, 0], ...] } or { hopf = 2 } or
-                                    # { cone = { direction = [0, 0, -1], half_angle = 0.5, directions = 64 } }
-    redundancy_samples = 32         # values of redundant joints of which one must do
-    free_rolls = 8                  # turns about the tool of which one must do; 1 by default
-    bounds = [[-1, -1, 0], [1, 1, 1]]          # corners [m]; by default all that is within reach
-    shell = { center = [0, 0, 0], radii = [0.5, 0.7], directions = 500 }       # in place of spacing
-    surface = { file = "part.stl", scale = 0.001, spacing = 0.01 }             # or "points.csv"; likewise
-    limits = [[-2.8, 2.8], ...]     # [rad, m]; or false for none; by default the arm's own
-    statistics = ["reachable", ...] # see `statistics`
-    chunk = [32, 32, 32]            # positions of a work unit
-    dtype = "float32"               # or "float64"
-    certify = true                  # goals uncertain in float32 again in float64; false by default
+A file is data: unknown keys are refused, and a path in it starts from the file's own folder. `MANUAL` lists
+the keys; `ikjax study keys` prints it.
 """
 
 import dataclasses
-import os
+import math
 import pathlib
 import tomllib
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ikjax.arm import dh, robots
+from ikjax.arm import dh
 from ikjax.arm.arm import Arm
+from ikjax.cli import whole_arm
 from ikjax.core.pose import pose
 from ikjax.maps.sets.hopf import hopf
 from ikjax.maps.sets.orientations import cone
@@ -39,9 +23,64 @@ from ikjax.maps.sets.surface import Surface, surface
 from ikjax.maps.statistics import USUAL as STATISTICS
 from ikjax.maps.statistics import available
 
+MANUAL = """\
+angles = "degrees"              # of all angles in this file; "radians" by default
+
+arm = "puma560"                 # of the catalogue, or a URDF file (a path from this file's folder)
+base = "base_link"              # of a file: the link it starts from, by default the root
+tip = "tool0"                   # of a file: the link it ends at, by default the one leaf
+axis_tolerance = 1e-3           # of a file: how far axes may be off [rad, share of its size]
+fixed_joints = { joint3 = 0 }   # joints that do not move [angle, m]; joint1, joint2, ... without names
+tool = [0, 0, 0.15, 0, 0, 0]    # from the tip or flange to the tool: x y z [m], roll pitch yaw [angle];
+                                # or x y z alone; or { xyz = [...], rpy = [...] }, and wxyz, xyzw or rotvec
+mount = [0, 0, 0.8]             # where the robot stands in the world, likewise
+limits = [[-160, 160], ...]     # of the joints that move [angle, m]; or false for none; else the arm's own
+
+spacing = 0.03                  # a grid [m] over all that is within reach, or within
+bounds = [[-1, -1, 0], [1, 1, 1]]                                          # two corners [m]
+shell = { center = [0, 0, 0], radii = [0.5, 0.7], directions = 500 }       # in place of spacing: spheres
+surface = { file = "part.stl", scale = 0.001, spacing = 0.01 }             # or "points.csv"; likewise
+
+orientations = 512              # even ones; or { wxyz = [[1, 0, 0, 0], ...] } or { hopf = 2 } or
+                                # { cone = { direction = [0, 0, -1], half_angle = 30, directions = 64 } }
+free_rolls = 8                  # turns about the tool of which one must do; 1 by default
+redundancy_samples = 32         # values of redundant joints of which one must do
+
+statistics = ["reachable", ...] # see `ikjax study statistics`
+title = "long drill"            # for pictures and pages; by default the arm's name
+chunk = [32, 32, 32]            # positions of a work unit
+dtype = "float32"               # or "float64"
+certify = true                  # goals uncertain in float32 again in float64; false by default
+"""
+"""Every key of a study file, each with a comment; not a study itself."""
+
+NEW = """\
+# A study of ikjax. Every key: ikjax study keys. Run it: ikjax sweep {file} --out map.zarr --picture map.png
+angles = "degrees"              # of all angles in this file
+
+# The robot, its tool and where it stands.
+arm = {arm}
+# tip = "tool0"                 # of a file that branches: the link where the arm ends
+tool = [0, 0, 0, 0, 0, 0]       # from the tip or flange to the tool: x y z [m], roll pitch yaw
+mount = [0, 0, 0, 0, 0, 0]      # of the robot in the world, likewise
+
+# Where: one layer of a table, 0.1 m above the foot of the robot, in steps of 5 cm.
+bounds = [[-1, -1, 0.1], [1, 1, 0.1]]
+spacing = 0.05                  # [m]; without bounds over all that is within reach
+
+# How: the tool points down, and may turn about its own axis.
+orientations = {{ cone = {{ direction = [0, 0, -1], half_angle = 0, directions = 1 }} }}
+free_rolls = 12                 # turns of which one must do; 1 where the tool must not turn
+# orientations = 512            # in place of both: even over all rotations
+
+# What is counted: those the arm reaches, within its limits too, and which limits cost some.
+statistics = ["reachable", "reachable_within", "solutions", "solutions_within", "limited_by"]
+"""
+"""What `ikjax study new` writes, a study that runs; {{arm}} and {{file}} are filled in."""
+
 KEYS = (
-    *("arm", "base", "tip", "axis_tolerance", "spacing", "orientations", "free_rolls", "bounds", "shell"),
-    *("surface", "limits", "statistics", "chunk", "dtype", "certify", "redundancy_samples"),
+    *("angles", "arm", *whole_arm.KEYS, "limits", "spacing", "bounds", "shell", "surface", "orientations"),
+    *("free_rolls", "redundancy_samples", "statistics", "title", "chunk", "dtype", "certify"),
 )
 RENAMED = {"tolerance": "axis_tolerance", "rolls": "free_rolls"}
 """Keys of older files, and what they are called now."""
@@ -62,6 +101,7 @@ class Study(NamedTuple):
     dtype: str
     certify: bool = False
     redundancy_samples: int | None = None
+    title: str | None = None
 
 
 def read(path) -> Study:
@@ -85,41 +125,6 @@ def read(path) -> Study:
         raise ValueError(f"{path}: {error}") from error
 
 
-def find_arm(
-    name: str,
-    folder: pathlib.Path | None = None,
-    *,
-    base: str | None = None,
-    tip: str | None = None,
-    axis_tolerance: float | None = None,
-) -> Arm:
-    """An arm of the catalogue, or of a URDF file.
-
-    A name that is not in the catalogue is a file's name if the file exists or the name ends in .urdf or .xml.
-
-    Args:
-        name: Of the arm, or the path of the file.
-        folder: Where a relative path starts.
-        base, tip, axis_tolerance: As in `Arm.from_urdf`.
-
-    Raises:
-        ValueError: Neither a file nor a name of the catalogue; an option of files given with such a name.
-        OSError: The file cannot be read.
-    """
-    options: dict[str, Any] = {"base": base, "tip": tip, "axis_tolerance": axis_tolerance}
-    options = {key: value for key, value in options.items() if value is not None}
-    path = pathlib.Path(name) if folder is None else folder / name
-    known = name in robots.names()
-    if not known and (name.lower().endswith((".urdf", ".xml")) or os.path.isfile(path)):
-        return Arm.from_urdf(path, **options)
-    if known and options:
-        raise ValueError(f"{'= and '.join(options)}= goes with a URDF file, {name} is of the catalogue")
-    try:
-        return robots.get(name)
-    except ValueError as error:
-        raise ValueError(f"no such file, and {error}") from None
-
-
 def _parsed(entries: dict, folder: pathlib.Path) -> Study:
     for key in entries:
         if key in RENAMED:
@@ -131,11 +136,8 @@ def _parsed(entries: dict, folder: pathlib.Path) -> Study:
             raise ValueError(f"{key} is missing")
     if not isinstance(entries["arm"], str):
         raise ValueError(f'arm must be a name or a file, as in "puma560", got {entries["arm"]!r}')
-    for key, kind in {"base": _is_text, "tip": _is_text, "axis_tolerance": _is_number}.items():
-        if key in entries and not kind(entries[key]):
-            raise ValueError(f"{key} is of the wrong kind: {entries[key]!r}")
-    ends = {key: entries.get(key) for key in ("base", "tip", "axis_tolerance")}
-    arm = _with_limits(find_arm(entries["arm"], folder, **ends), entries.get("limits"))
+    unit = _angle_unit(entries.get("angles", "radians"))
+    arm = _arm(entries, folder, unit)
     positions = _positions(entries, arm, folder)
     statistics, known = entries.get("statistics", list(STATISTICS)), available(len(arm.locked) == 1)
     if not isinstance(statistics, list) or not all(name in known for name in statistics) or not statistics:
@@ -161,8 +163,47 @@ def _parsed(entries: dict, folder: pathlib.Path) -> Study:
     ):
         raise ValueError(f"chunk must be {axes} whole numbers above zero, got {chunk!r}")
     chunk = None if chunk is None else tuple(chunk)
-    turns = _orientations(entries["orientations"])
-    return Study(arm, positions, turns, free_rolls, tuple(statistics), chunk, dtype, certify, samples)
+    turns = _orientations(entries["orientations"], unit)
+    title = entries.get("title")
+    if not (title is None or _is_text(title)):
+        raise ValueError(f"title must be a text, got {title!r}")
+    return Study(arm, positions, turns, free_rolls, tuple(statistics), chunk, dtype, certify, samples, title)
+
+
+def _angle_unit(angles) -> float:
+    """One unit of the file's angles [rad]."""
+    units = {"radians": 1.0, "degrees": math.pi / 180}
+    if not (_is_text(angles) and angles in units):
+        raise ValueError(f'angles must be "degrees" or "radians", got {angles!r}')
+    return units[angles]
+
+
+def _arm(entries: dict, folder: pathlib.Path, unit: float) -> Arm:
+    """The arm as the file says it stands."""
+    kinds = {"base": _is_text, "tip": _is_text, "axis_tolerance": _is_number, "fixed_joints": _is_values}
+    for key, kind in kinds.items():
+        if key in entries and not kind(entries[key]):
+            raise ValueError(f"{key} is of the wrong kind: {entries[key]!r}")
+    given = {key: entries.get(key) for key in kinds}
+    for key in ("tool", "mount"):
+        given[key] = _pose(key, entries[key], unit) if key in entries else None
+    arm = whole_arm.find_arm(entries["arm"], folder, angle=unit, **given)
+    return _with_limits(arm, entries.get("limits"), unit)
+
+
+def _pose(key: str, value, unit: float) -> np.ndarray:
+    """A pose (4, 4) from a list of numbers or a table."""
+    if isinstance(value, list):
+        numbers = _numbers(key, value, (3,) if len(value) == 3 else (6,))
+        return whole_arm.six_numbers(key, numbers, unit)
+    turns = {"rpy": (3,), "wxyz": (4,), "xyzw": (4,), "rotvec": (3,)}
+    table = _table(key, value, {"xyz": (3,), **turns}, needs=())
+    table |= {form: table[form] * unit for form in ("rpy", "rotvec") if form in table}
+    return np.asarray(pose(table.pop("xyz", np.zeros(3)), **table), float)
+
+
+def _is_values(value) -> bool:
+    return isinstance(value, dict) and bool(value) and all(map(_is_number, value.values()))
 
 
 def _positions(entries: dict, arm: Arm, folder: pathlib.Path) -> Grid | Shell | Surface:
@@ -208,17 +249,18 @@ def _table(name: str, entries, kinds: dict[str, Any], needs: tuple[str, ...]) ->
     return checked
 
 
-def _with_limits(arm: Arm, limits) -> Arm:
+def _with_limits(arm: Arm, limits, unit: float) -> Arm:
     if limits is None:
         return arm
     if limits is False:
         limits = np.tile([-np.inf, np.inf], (arm.n, 1))
     else:
         limits = _numbers("limits", limits, (arm.n, 2))
+        limits = limits * np.where([kind == "R" for kind in arm.kinds], unit, 1.0)[:, None]
     return dataclasses.replace(arm, limits=dh.check_limits(limits, arm.kinds))
 
 
-def _orientations(entries) -> Any:
+def _orientations(entries, unit: float) -> Any:
     if _is_count(entries):
         return entries
     if isinstance(entries, dict) and list(entries) == ["wxyz"]:
@@ -229,7 +271,8 @@ def _orientations(entries) -> Any:
         return hopf(entries["hopf"])
     if isinstance(entries, dict) and list(entries) == ["cone"]:
         kinds = {"direction": (3,), "half_angle": _is_number, "directions": _is_count, "turns": _is_count}
-        return cone(**_table("orientations.cone", entries["cone"], kinds, needs=tuple(kinds)[:3]))
+        table = _table("orientations.cone", entries["cone"], kinds, needs=tuple(kinds)[:3])
+        return cone(**{**table, "half_angle": table["half_angle"] * unit})
     raise ValueError(
         f"orientations must be a whole number above zero or a table such as {{ wxyz = [[1, 0, 0, 0]] }}, "
         f"{{ hopf = 2 }} or {{ cone = {{ ... }} }}, got {entries!r}"

@@ -10,6 +10,7 @@ import numpy as np
 
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import reach
+from ikjax.core import pose as poses
 from ikjax.core.xla import is_traced
 from ikjax.ik.results import Solutions
 from ikjax.ik.solve import solve
@@ -83,6 +84,46 @@ def checked_samples(arm: Arm, samples: int | None, default: int) -> int:
     if isinstance(samples, bool) or not isinstance(samples, int) or samples < 1:
         raise ValueError(f"redundancy_samples must be a whole number above zero, got {samples!r}")
     return samples
+
+
+def solve_alternatives(
+    arm: Arm, goals: jax.Array, alternatives: jax.Array | np.ndarray | None, samples: int
+) -> Solutions:
+    """`solve_at_samples` of goals of which each may be met in several ways.
+
+    Args:
+        arm: The arm.
+        goals: (..., 4, 4).
+        alternatives: (m, 4, 4) what the tool may be turned by in its own frame; None for the goal alone.
+        samples: Values of each redundant joint.
+
+    Returns:
+        `Solutions` (...) with m times as many slots: those of the first alternative come first.
+    """
+    if alternatives is None:
+        return solve_at_samples(arm, goals, samples)
+    return joined_alternatives(solve_at_samples(arm, turned_goals(goals, alternatives), samples))
+
+
+def turned_goals(goals: jax.Array, alternatives: jax.Array | np.ndarray) -> jax.Array:
+    """Goals (..., m, 4, 4): each of (..., 4, 4) turned by each of the alternatives (m, 4, 4) in its frame."""
+    return pose_product(goals[..., None, :, :], jnp.asarray(alternatives, goals.dtype))
+
+
+def joined_alternatives(sol: Solutions) -> Solutions:
+    """Solutions (..., m) of `turned_goals` as those of the goals, (...), with m times as many slots."""
+    *batch, count, slots, n = sol.q.shape
+    fields = {field.name: getattr(sol, field.name) for field in dataclasses.fields(sol)}
+    is_pose, q = fields.pop("is_pose"), fields.pop("q")
+    flat = {name: value.reshape(*batch, count * slots) for name, value in fields.items()}
+    return Solutions(q=q.reshape(*batch, count * slots, n), is_pose=is_pose[..., 0], **flat)
+
+
+def pose_product(first: jax.Array, second: jax.Array) -> jax.Array:
+    """T_a_c (..., 4, 4) of T_a_b and T_b_c, whose leading shapes broadcast; without a matrix product."""
+    shape = jnp.broadcast_shapes(first.shape, second.shape)
+    a, b = (poses.from_matrix(jnp.broadcast_to(x, shape)) for x in (first, second))
+    return poses.to_matrix(poses.compose(a, b))
 
 
 def solve_at_samples(arm: Arm, goals: jax.Array, samples: int) -> Solutions:

@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ikjax.arm.arm import Arm
+from ikjax.arm.recognition import lock
+from ikjax.core.text import line
 from ikjax.maps import statistics
 from ikjax.maps.sets.orientations import Orientations
 from ikjax.maps.sets.orientations import from_spec as orientations_from_spec
@@ -16,6 +18,23 @@ from ikjax.maps.sets.surface import Surface
 from ikjax.maps.store import manifest, store
 from ikjax.maps.store.lock import Lock
 from ikjax.maps.store.storage import Storage
+
+
+class Measured(NamedTuple):
+    """What positions of a box grid are measured by."""
+
+    name: str
+    unit: str
+    whole: str
+    """What all of them are."""
+
+
+MEASURES = {
+    3: Measured("volume", "m^3", "the box"),
+    2: Measured("area", "m^2", "the layer"),
+    1: Measured("length", "m", "the line"),
+}
+"""By the dimension of the grid."""
 
 
 class Units(NamedTuple):
@@ -31,6 +50,8 @@ class Units(NamedTuple):
     """Units whose chunks were all there, but not as they had been written."""
 
     def __str__(self) -> str:
+        if self.missing == self.total:
+            return f"new map, {self.total} unit{'s' if self.total > 1 else ''}"
         return f"{self.kept} of {self.total} units kept, {self.missing} missing, {self.damaged} damaged"
 
 
@@ -62,6 +83,27 @@ class ReachMap:
     """Of a sweep into a store: what was there before. Else None."""
     redundancy_samples: int = 1
     """Values of each redundant joint of which one has to reach a goal; 1 where there is none."""
+    title: str = ""
+    """What tells it from other maps, for pictures and pages; empty where nothing was said."""
+
+    def __post_init__(self):
+        object.__setattr__(self, "title", line(self.title))
+
+    @property
+    def heading(self) -> str:
+        """The title, with the arm's name before it."""
+        return f"{self.arm.name}, {self.title}" if self.title else self.arm.name
+
+    def __repr__(self) -> str:
+        rolls = f" x {self.free_rolls} free rolls" if self.free_rolls > 1 else ""
+        lines = [
+            f"<ReachMap of {self.heading}: {self.positions.in_words()}",
+            f"  {self.orientation_count:,} orientations{rolls}, {self.dtype}",
+            f"  statistics: {', '.join(self.arrays)}",
+        ]
+        if isinstance(self.arrays.get("reachable_within"), np.ndarray):  # a stored one is not read for this
+            lines.append(f"  {(self.reachable_within > 0).mean():.1%} of the positions are reached")
+        return "\n".join(lines) + ">"
 
     def _read(self, name: str) -> np.ndarray:
         """A statistic, read whole; ValueError where the map was made without it."""
@@ -132,8 +174,9 @@ class ReachMap:
     def numbers(self) -> dict[str, Any]:
         """The headline figures by name, as far as the statistics give them: see `summary` for their meaning.
 
-        Volumes are in m^3; `reach` and `height` [m] are measured from the base of axis 1, across and along
-        that axis; the rest are numbers, shares from 0 to 1, and seconds.
+        Volumes are in m^3, areas of one layer in m^2, lengths of one line in m. `reach` and `height` [m] are
+        measured from the base of axis 1, across and along that axis; the rest are numbers, shares from 0 to
+        1, and seconds.
         """
         figures: dict[str, Any] = {
             "positions": self.positions.count,
@@ -148,6 +191,9 @@ class ReachMap:
             if f"solutions{end}" in self.arrays and f"reachable{end}" in self.arrays:
                 solutions, reached = self._read(f"solutions{end}"), self._read(f"reachable{end}")
                 figures[f"solutions_per_goal{end}"] = float(solutions.sum() / max(reached.sum(), 1))
+        if statistics.LIMITED_BY in self.arrays:
+            lost = self._read(statistics.LIMITED_BY).reshape(-1, self.arm.n).sum(0, dtype=np.int64)
+            figures[statistics.LIMITED_BY] = (lost / self.goals).tolist()
         rate = self.goals / self.seconds if self.seconds else 0.0
         return {**figures, "seconds": self.seconds, "goals_per_second": rate}
 
@@ -159,7 +205,12 @@ class ReachMap:
         height = offset @ base[:3, 2]
         across = offset - height[:, None] * base[:3, 2]
         volumes = {}
-        if not isinstance(self.positions, Surface):
+        if isinstance(self.positions, Grid):
+            measure = MEASURES.get(self.positions.dimension)
+            if measure is not None:
+                volumes[measure.name] = self.positions.size(hit)
+                volumes[f"dexterous_{measure.name}"] = self.positions.size(dexterity >= 0.5)
+        elif not isinstance(self.positions, Surface):
             volumes["volume"] = self.positions.volume(hit)
             volumes["dexterous_volume"] = self.positions.volume(dexterity >= 0.5)
         return {
@@ -180,19 +231,17 @@ class ReachMap:
         redundant = " and ".join(self.arm.redundant)
         values = f", {self.redundancy_samples} values of {redundant}" if redundant else ""
         lines = [
-            f"{self.arm.name}: {n['goals']:,} goals, {self.positions.in_words()} "
+            f"{self.heading}: {n['goals']:,} goals, {self.positions.in_words()} "
             f"x {n['orientations']:,} orientations{rolls}{values}"
         ]
         if "reach" in n:
-            part = (
-                "the points"
-                if "volume" not in n
-                else "the box"
-                if isinstance(self.positions, Grid)
-                else "them"
-            )
-            volume = f", {n['volume']:.3f} m^3" if "volume" in n else ""
-            half = f"{n['dexterous_volume']:.3f} m^3" if volume else f"{n['positions_dexterous']:.1%} of them"
+            measure = next((each for each in MEASURES.values() if each.name in n), None)
+            part = "the points" if measure is None else measure.whole
+            part = part if isinstance(self.positions, Grid | Surface) else "them"
+            volume, half = "", f"{n['positions_dexterous']:.1%} of them"
+            if measure is not None:
+                volume = f", {n[measure.name]:.3f} {measure.unit}"
+                half = f"{n[f'dexterous_{measure.name}']:.3f} {measure.unit}"
             lines += [
                 f"  reach             {n['reach']:.3f} m from axis 1, up to {n['height']:+.3f} m",
                 f"  positions reached {n['positions_reachable']:.1%} of {part}{volume}",
@@ -211,6 +260,8 @@ class ReachMap:
                 f"  limits cost       {n['goals_reachable']:.1%} of goals fall to "
                 f"{n['goals_reachable_within']:.1%}"
             )
+        if statistics.LIMITED_BY in n:
+            lines.append(f"  of these          {self._limits_in_words(n[statistics.LIMITED_BY])}")
         kind = (
             f"{self.dtype}{', certified in float64' if manifest.is_certified(self.statistic_specs) else ''}"
         )
@@ -219,6 +270,13 @@ class ReachMap:
             f"{n['seconds']:.2f} s"
         )
         return "\n".join(lines)
+
+    def _limits_in_words(self, lost: list[float]) -> str:
+        """Which joint's limits cost goals that no other limits cost, the most first."""
+        names = self.arm.joint_names or lock.numbered(self.arm.n)
+        order = sorted(range(self.arm.n), key=lambda i: -lost[i])
+        words = [f"{names[i]} {lost[i]:.2%}" for i in order if lost[i] > 0]
+        return f"lost to one joint alone: {', '.join(words)}" if words else "none is lost to one joint alone"
 
     def to_numpy(self) -> dict[str, np.ndarray]:
         """Every statistic, read whole."""
@@ -239,7 +297,18 @@ class ReachMap:
             name: ((*self.positions.axes, *self.statistic_specs[name]["axes"]), value)
             for name, value in self.to_numpy().items()
         }
-        facts = {"arm": self.arm.name, "orientations": self.orientation_count, "dtype": self.dtype}
+        facts: dict[str, Any] = {
+            "arm": self.arm.name,
+            "title": self.title,
+            "tool": np.asarray(self.arm.tool, float).ravel().tolist(),
+            "base": np.asarray(self.arm.base, float).ravel().tolist(),
+            "branches": list(self.arm.branches),
+            "joints": list(self.arm.joint_names or lock.numbered(self.arm.n)),
+            "units": "m, rad; tool is T_flange_tool, base T_world_base, row by row",
+            "orientations": self.orientation_count,
+            "free_rolls": self.free_rolls,
+            "dtype": self.dtype,
+        }
         return xarray.Dataset(values, coords=coords, attrs={**facts, "ikjax_schema": manifest.SCHEMA})
 
     def save(
@@ -263,7 +332,7 @@ class ReachMap:
             if chunk is None
             else tuple(chunk)
         )
-        head = manifest.Head(spec, manifest.arm_spec(self.arm), chunk, "sweeping", 0.0)
+        head = manifest.Head(spec, manifest.arm_spec(self.arm), chunk, "sweeping", 0.0, self.title)
         storage, values = Storage(out), self.to_numpy()
         with Lock(storage):
             disk = store.begin(storage, head, fixed, resume=False, force=force, chunk_given=True)
@@ -300,6 +369,7 @@ class ReachMap:
             arrays={name: arrays[name] for name in head.names},
             seconds=head.seconds,
             redundancy_samples=head.spec.get(manifest.SAMPLES, 1),
+            title=head.title,
         )
 
 
@@ -317,9 +387,13 @@ FIGURES = (
     ("reach", "{:.3f} m"),
     ("height", "{:+.3f} m"),
     ("volume", "{:.3f} m^3"),
+    ("area", "{:.3f} m^2"),
+    ("length", "{:.3f} m"),
     ("mean_dexterity", "{:.2%}"),
     ("best_dexterity", "{:.2%}"),
     ("dexterous_volume", "{:.3f} m^3"),
+    ("dexterous_area", "{:.3f} m^2"),
+    ("dexterous_length", "{:.3f} m"),
     ("solutions_per_goal", "{:.3f}"),
     ("solutions_per_goal_within", "{:.3f}"),
     ("goals_per_second", "{:,.0f}"),

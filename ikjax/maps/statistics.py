@@ -4,7 +4,8 @@ A channel is one number of a goal and the reduction of these numbers over many g
 numbers, the greatest, the least, or bits. All of these have the same bits in any order. There are channels
 only for the statistics asked for; nothing else is computed or stored.
 
-Every name but `best_limit_share` has a twin with `_within`, for solutions within the joint limits alone:
+Every name but `best_limit_share` and `limited_by` has a twin with `_within`, for solutions within the joint
+limits alone:
 
     reachable, solutions              orientations with a solution; solutions over all orientations
     branches                          orientations that each branch reaches
@@ -14,6 +15,8 @@ Every name but `best_limit_share` has a twin with `_within`, for solutions withi
     best_, mean_sigma_min             least singular value of J in reaches, likewise
     best_limit_share                  of the joint nearest to its limit, 1 in the middle, 0 at the limit,
                                       negative beyond it; -inf without a solution
+    limited_by                        for each joint, orientations lost to its limits alone: reached by a
+                                      solution that is within all other limits, and by none within all
 
 Of an arm with redundant joints each goal is tried at several values of them. An orientation is reached if one
 of these does; solutions are those of all values together, and means are over them.
@@ -106,6 +109,8 @@ def plan(
         if isinstance(each, Custom)
         else _widest_interval(arm, name, samples)
         if name.removesuffix("_within") == WIDEST
+        else _limited_by(arm, orientations, trials)
+        if name == LIMITED_BY
         else _named(arm, name, orientations, trials)
         for name, each in zip(names, given, strict=True)
     }
@@ -138,11 +143,12 @@ def available(redundant: bool = False) -> list[str]:
     Args:
         redundant: With those of an arm with one redundant joint.
     """
-    names = [*(name + end for name in _TWINS for end in ("", "_within")), "best_limit_share"]
+    names = [*(name + end for name in _TWINS for end in ("", "_within")), "best_limit_share", LIMITED_BY]
     return [*names, WIDEST, f"{WIDEST}_within"] if redundant else names
 
 
 WIDEST = "widest_interval"
+LIMITED_BY = "limited_by"
 
 _TWINS = (
     *("reachable", "solutions", "branches", "mask", "best_margin"),
@@ -213,6 +219,36 @@ def _widest_interval(arm: Arm, name: str, samples: int) -> tuple[Statistic, dict
     channel = Channel("run", value, max_per_goal=len(arm.branches), inside=inside)
     finish = functools.partial(_in_spacings, spacing=float(high - low) / samples)
     return Statistic("float32", (name,), finish), {name: channel}
+
+
+def _limited_by(arm: Arm, orientations: int, trials: int) -> tuple[Statistic, dict[str, Channel]]:
+    # What is reached within all limits is reached within all but one, at the same trial. So the difference of
+    # two counts is the number of goals between.
+    limited = [
+        i for i, (lower, upper) in enumerate(np.asarray(arm.limits)) if lower > -np.inf or upper < np.inf
+    ]
+    channels = {
+        f"{LIMITED_BY}.{i}": Channel(
+            "count", functools.partial(Goal.reached_but_for, joint=i), inside=True, any_trial=True
+        )
+        for i in limited
+    }
+    channels = {name: each._replace(value=_as_whole(each.value)) for name, each in channels.items()}
+    channels |= _named(arm, "reachable_within", orientations, trials)[1]
+    finish = functools.partial(_lost, joints=arm.n, limited=limited)
+    return Statistic("int32", tuple(channels), finish, (("joint", arm.n),)), channels
+
+
+def _as_whole(flag: Callable[[Goal], jax.Array]) -> Callable[[Goal], jax.Array]:
+    return lambda goal: flag(goal).astype(jnp.int32)
+
+
+def _lost(*results: np.ndarray, joints: int, limited: list[int]) -> np.ndarray:
+    """Per joint what is reached but for its limits, less what is reached within all (the last result)."""
+    lost = np.zeros((len(results[-1]), joints), np.int32)
+    for i, count in zip(limited, results[:-1], strict=True):
+        lost[:, i] = count[:, 0] - results[-1][:, 0]
+    return lost
 
 
 def _flags_in_bits(goal: Goal, inside: bool) -> jax.Array:

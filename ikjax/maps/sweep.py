@@ -62,6 +62,7 @@ def sweep(
     resume: bool = False,
     force: bool = False,
     chunk: Sequence[int] | None = None,
+    title: str | None = None,
     progress: bool = False,
     stop: Stop | None = None,
 ) -> ReachMap:
@@ -100,6 +101,8 @@ def sweep(
         force: Replace a map at `out`; with `resume`, only one that cannot be resumed.
         chunk: Positions of a unit along each axis; the numbers do not depend on it. By default about a
             second of work, and at most about a minute.
+        title: What tells this map from others of the arm, for pictures and pages: "long drill". The numbers
+            do not depend on it.
         progress: Show a bar with rate and remaining time on stderr.
         stop: Asked after every call, and with True after every unit; returns a reason to stop, or None.
 
@@ -129,11 +132,12 @@ def sweep(
         arrays={},
         seconds=0.0,
         redundancy_samples=samples,
+        title=title or "",
     )
     spec, fixed = manifest.describe(study)
     kernel = kernel_of(study, plan)
     unit_chunk = _unit_chunk(chunk, positions.shape, turns.count, kernel)
-    head = manifest.Head(spec, manifest.arm_spec(arm), unit_chunk, "sweeping", 0.0)
+    head = manifest.Head(spec, manifest.arm_spec(arm), unit_chunk, "sweeping", 0.0, study.title)
 
     def compute(sink: Sink, todo: list[int], done: int, log: Log) -> float:
         return run_units(sink, todo, kernel, plan, done=done, progress=progress, stop=stop, log=log)

@@ -6,9 +6,10 @@ Needs matplotlib (`pip install ikjax[viz]`), which is imported for the first pic
 """
 
 from ikjax.plot.arm_viewer import ArmViewer, view
-from ikjax.plot.bars import histogram
+from ikjax.plot.bars import histogram, limit_costs
 from ikjax.plot.contrast import Change, change, comparison
 from ikjax.plot.disc import globe
+from ikjax.plot.plan import plan
 from ikjax.plot.planes import Plane, Slice
 from ikjax.plot.redundant import self_motion
 from ikjax.plot.slices import reach_map

@@ -99,7 +99,7 @@ def shell_map(reach, path=None):
         x, y, z = (f"{c:.2f}".replace("-", "\N{MINUS SIGN}") for c in reach.positions.center)
         place = f"{reach.positions.in_words()} about ({x}, {y}, {z}) m"
         caption = f"{place} × {reach.orientation_count:,} orientations."
-        head(figure, reach.arm.name, caption)
+        head(figure, reach.heading, caption)
     return finish(figure, path)
 
 

@@ -17,7 +17,7 @@ from ikjax.maps.reach_map import ReachMap, compare, in_words
 from ikjax.maps.sets.orientations import Cone, Even
 from ikjax.maps.sets.positions import Grid
 from ikjax.maps.store import manifest
-from ikjax.plot.bars import histogram
+from ikjax.plot.bars import histogram, limit_costs
 from ikjax.plot.contrast import comparison
 from ikjax.plot.disc import globe
 from ikjax.plot.slices import reach_map
@@ -56,8 +56,8 @@ def page(reach: ReachMap, then: ReachMap | None = None, name: str = "map.zarr") 
     """
     plt = pyplot()
     arm = reach.arm
-    parts = [_HEAD.format(title=html(f"{arm.name}: {name}"))]
-    parts.append(f"<h1>{html(arm.name)}</h1>\n{_text(reach.summary())}")
+    parts = [_HEAD.format(title=html(f"{reach.heading}: {name}"))]
+    parts.append(f"<h1>{html(reach.heading)}</h1>\n{_text(reach.summary())}")
 
     def show(title: str, words: str, figure) -> None:
         parts.append(f"<h2>{title}</h2>\n<p>{words}</p>\n{_picture(figure)}")
@@ -74,8 +74,13 @@ def page(reach: ReachMap, then: ReachMap | None = None, name: str = "map.zarr") 
     if _has_counts(reach) and isinstance(reach.positions, Grid) and min(reach.positions.shape) > 1:
         words = "Each solid is where at least so large a share of the orientations is reached."
         show("Nested solids", words, nested(reach))
+    if statistics.LIMITED_BY in reach.arrays:
+        words = (
+            "Goals reached but for the limits of one joint; goals that two joints keep away are in no bar."
+        )
+        show("Which limit costs what", words, limit_costs(reach))
     if _has_counts(reach):
-        show("How it is spread", "By volume, or by points on a surface.", histogram(reach))
+        show("How it is spread", "By volume, area or length, or by points on a surface.", histogram(reach))
     places = _places(reach) if _has_counts(reach) and arm.task == "pose" and arm.family else np.empty((0, 3))
     if len(places):
         words = (

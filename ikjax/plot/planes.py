@@ -10,6 +10,8 @@ from ikjax.core.pose import pose
 from ikjax.ik.redundancy import middles
 from ikjax.ik.select import within_limits
 from ikjax.ik.solve import solve
+from ikjax.maps.sets.hopf import Hopf
+from ikjax.maps.sets.orientations import Even
 from ikjax.plot.stick import sticks
 
 Slice = tuple[str, float]
@@ -68,14 +70,63 @@ def posture(reach, plane: Plane) -> np.ndarray:
         behind = min(0.0, float(line[1:-1, across].min() - line[0, across]))
         return line[:, 2].mean() + behind - 2 * np.ptp(line[:, plane.axis])
 
-    return best_posture(reach.arm, place, quality)
+    return best_posture(reach.arm, place, quality, tried=orientations_to_try(reach))
 
 
-def best_posture(arm: Arm, place, quality: Callable[[np.ndarray], float], frame=None) -> np.ndarray:
+def posture_at(reach, place) -> np.ndarray:
+    """The arm at a place in an orientation of the map, its links as high as possible."""
+
+    def quality(q) -> float:
+        return float(sticks(reach.arm, q).line[:, 2].mean())
+
+    return best_posture(reach.arm, place, quality, tried=orientations_to_try(reach))
+
+
+def orientations_to_try(reach) -> np.ndarray | None:
+    """Rotations (m, 3, 3) that the map was made for, some of them; None where it was made for all."""
+    if isinstance(reach.orientations, Even | Hopf):
+        return None
+    rotations = reach.rotations
+    chosen = np.linspace(0, len(rotations) - 1, min(len(rotations), TRIED)).round().astype(int)
+    rolls = max(1, min(reach.free_rolls, TRIED // len(chosen)))
+    turned = rolled(np.arange(rolls) * (2 * np.pi / rolls))
+    return (rotations[chosen][:, None] @ turned).reshape(-1, 3, 3)
+
+
+def rolled(angles: np.ndarray) -> np.ndarray:
+    """Rotations (m, 3, 3) about z by angles (m,) [rad]."""
+    zero = np.zeros_like(angles)
+    return np.asarray(pose(rpy=np.stack([zero, zero, angles], -1)))[:, :3, :3]
+
+
+TRIED = 48
+"""Orientations of a map that are tried for a posture."""
+
+
+def place_far_out(reach, axes: tuple[int, int]) -> np.ndarray | None:
+    """A reached place of a flat map for the tool: well reached, about two thirds as far out as any."""
+    weight = np.asarray(reach.dexterity, float)
+    if not weight.any():
+        return None
+    points = reach.positions.points()
+    base = np.asarray(reach.arm.base, float)[:3, 3]
+    away = points - base
+    distance = np.linalg.norm(away[..., list(axes)], axis=-1)
+    wanted = 0.7 * float(distance[weight > 0].max())
+    # Forward and to the left, where neither the base nor the legend is.
+    side = (away[..., axes[0]] + 0.35 * away[..., axes[1]]) / np.maximum(distance, 1e-9)
+    score = weight * np.exp(-(((distance - wanted) / (0.3 * wanted + 1e-9)) ** 2)) * (1.5 + side)
+    return points[np.unravel_index(np.argmax(score), score.shape)]
+
+
+def best_posture(
+    arm: Arm, place, quality: Callable[[np.ndarray], float], frame=None, tried: np.ndarray | None = None
+) -> np.ndarray:
     """Of the solutions at a place, within the limits if possible, the one of greatest `quality`.
 
     The tool is tried turned about y, upright and upside down in the world; with a frame (3, 3), turned about
-    the frame's z axis only. Without a place, the joints are at zero or as near to it as the limits allow.
+    the frame's z axis only; or with the rotations `tried`, (m, 3, 3), seen from the frame if there is one.
+    Without a place, the joints are at zero or as near to it as the limits allow.
     """
     if place is None or arm.family is None:
         return np.clip(0.0, *np.asarray(arm.limits, float).T)
@@ -85,6 +136,9 @@ def best_posture(arm: Arm, place, quality: Callable[[np.ndarray], float], frame=
     if frame is not None:
         tilt[:, :, 1], tilt[:, :, 2] = 0, turns
     goals = np.array(pose(np.broadcast_to(place, tilt.shape), rpy=tilt, dtype=arm.dtype))
+    if tried is not None:
+        goals = np.zeros((len(tried), 4, 4), goals.dtype)
+        goals[:, :3, :3], goals[:, :3, 3], goals[:, 3, 3] = tried, place, 1
     if frame is not None:
         goals[..., :3, :3] = frame @ goals[..., :3, :3]
     # Several values of a redundant joint are more goals to choose from.

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ikjax.plot.disc import head, label
-from ikjax.plot.planes import best_posture
+from ikjax.plot.planes import best_posture, orientations_to_try
 from ikjax.plot.stick import box, draw_3d, sticks
 from ikjax.plot.style import INK, MAP, PALE, STYLE, finish, pyplot
 
@@ -23,7 +23,7 @@ def point_map(reach, path=None, q=None):
         figure.get_layout_engine().set(rect=(0.005, 0.0, 0.985, 0.88))
         for k, (name, azimuth) in enumerate(VIEWS):
             ax = figure.add_subplot(1, 2, k + 1, projection="3d", computed_zorder=False)
-            box(ax, np.concatenate([reach.positions.points(), body.line]), 1.05)
+            box(ax, np.concatenate([reach.positions.points().reshape(-1, 3), body.line]), 1.05)
             ax.view_init(elev=24, azim=azimuth)
             ax.set_title(name, fontweight="bold", color=INK, y=0.98)
             image = scatter(ax, reach, reach.dexterity, {"cmap": MAP, "vmin": 0, "vmax": top})
@@ -36,7 +36,7 @@ def point_map(reach, path=None, q=None):
             f"{float(reach.dexterity.mean()):.0%} of {reach.orientation_count:,} orientations{seen}, "
             "on average."
         )
-        head(figure, reach.arm.name, caption)
+        head(figure, reach.heading, caption)
         from matplotlib.lines import Line2D
 
         rings = [
@@ -80,7 +80,8 @@ def _posture(reach) -> np.ndarray:
     """The arm at its most dexterous point, its links as high as possible."""
     arm, dexterity = reach.arm, np.ravel(reach.dexterity)
     k = int(np.argmax(dexterity))
-    frames = reach.positions.frames()
+    frames = getattr(reach.positions, "frames", lambda: None)()
     place = reach.positions.points().reshape(-1, 3)[k] if dexterity[k] > 0 else None
     frame = None if frames is None else frames[k]
-    return best_posture(arm, place, lambda q: float(sticks(arm, q).line[:, 2].mean()), frame)
+    tried = orientations_to_try(reach)
+    return best_posture(arm, place, lambda q: float(sticks(arm, q).line[:, 2].mean()), frame, tried)

@@ -7,15 +7,16 @@ import numpy as np
 from ikjax.core.text import picture
 from ikjax.maps.sets.positions import Grid, Shell
 from ikjax.plot.disc import shell_map
+from ikjax.plot.plan import is_plan, plan
 from ikjax.plot.planes import Plane, Slice, default_slices, plane_of, posture, shown_axes, ticks_of
 from ikjax.plot.points import point_map
 from ikjax.plot.stick import draw_flat, sticks
 from ikjax.plot.style import INK, MAP, PALE, STYLE, finish, one_color, pyplot
 
 
-def reach_map(reach, path=None, q=None, slices: Sequence[Slice] | None = None):
-    """A workspace colored by dexterity: a box grid in slices with the arm in the largest, a shell as discs
-    of equal area, a surface or a list as points beside the arm.
+def reach_map(reach, path=None, q=None, slices: Sequence[Slice] | None = None, goals=None):
+    """A workspace colored by dexterity: a box grid in slices with the arm in the largest, one layer as a
+    plan, a shell as discs of equal area, a surface or a list as points beside the arm.
 
     White positions cannot be reached; grey ones can, but only beyond the joint limits.
 
@@ -25,6 +26,7 @@ def reach_map(reach, path=None, q=None, slices: Sequence[Slice] | None = None):
         q: (n,) posture to draw; by default the arm reaches for its most dexterous place.
         slices: Planes, the largest picture first; by default the two vertical planes through the base and
             three horizontal ones. Each shows the nearest layer of the grid.
+        goals: (n, 3) or (n, 4, 4) [m], drawn into a plan; see `plan`.
 
     Returns:
         The figure.
@@ -34,7 +36,9 @@ def reach_map(reach, path=None, q=None, slices: Sequence[Slice] | None = None):
         ValueError: A slice that is not ("x", "y" or "z", metres), or slices of a map that is no box grid.
     """
     plt = pyplot()
-    if not isinstance(reach.positions, Grid):
+    if slices is None and is_plan(reach):
+        return plan(reach, path, q, goals)
+    if not isinstance(reach.positions, Grid) or (slices is None and reach.positions.count == 1):
         if slices is not None:
             raise ValueError(f"slices are of a box grid, got {reach.positions.in_words()}")
         return shell_map(reach, path) if isinstance(reach.positions, Shell) else point_map(reach, path, q)
@@ -122,7 +126,7 @@ def _head(figure, reach) -> None:
         f"× {reach.orientation_count:,} orientations."
     )
     left = {"x": 0.012, "ha": "left", "va": "top"}
-    figure.suptitle(picture(reach.arm.name), y=0.985, fontsize=16, fontweight="bold", **left)
+    figure.suptitle(picture(reach.heading), y=0.985, fontsize=16, fontweight="bold", **left)
     figure.text(y=0.925, s=caption, fontsize=10, color="#444444", **left)
     if (np.asarray(reach.reachable) > reach.reachable_within).any():
         from matplotlib.patches import Patch

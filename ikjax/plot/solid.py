@@ -126,7 +126,7 @@ def nested(reach, path=None, levels=(0.0, 0.25, 0.5, 0.75), q=None):
             f"Where the tool reaches so many of {reach.orientation_count:,} orientations within the joint "
             f"limits, a quarter cut out.   {reach.positions.in_words()}{thin}."
         )
-        head(figure, reach.arm.name, caption)
+        head(figure, reach.heading, caption)
     return finish(figure, path)
 
 

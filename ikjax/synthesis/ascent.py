@@ -13,12 +13,14 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
 
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import reach
 from ikjax.ik.margins import limited_margins, smooth_max, smooth_min
-from ikjax.ik.redundancy import solve_at_samples
+from ikjax.ik.redundancy import joined_alternatives, solve_alternatives, solve_at_samples, turned_goals
+from ikjax.synthesis.allowed import Allowed
 from ikjax.synthesis.parameters import TWIST, Parameters, moved_by_twist, pose_inverse, pose_product
 
 Objective = Callable[[Arm, Any, Any], jax.Array]
@@ -64,14 +66,28 @@ class DesignPlan:
     """See `starts_at_a_time`."""
     samples: int
     """Values of each redundant joint."""
+    alternatives: tuple[tuple[float, ...], ...] | None = None
+    """What the tool may be turned by, of which one must do: entries of poses, row by row; None without."""
+
+    @property
+    def alternatives_array(self) -> np.ndarray | None:
+        return None if self.alternatives is None else np.reshape(self.alternatives, (-1, 4, 4))
+
+    def with_bounds(self, bounds: jax.Array) -> "DesignPlan":
+        """The plan with bounds (2, k), which are data: no program is compiled for their numbers."""
+        return dataclasses.replace(self, parameters=self.parameters.with_bounds(bounds))
 
     def arm_at(self, z: jax.Array) -> Arm:
         return self.parameters.put(self.constant.arm, self.parameters.values(z))
 
     def score(self, z: jax.Array, goals: jax.Array, blur) -> jax.Array:
         arm = self.arm_at(z)
-        moved = self.parameters.arm_and_goals(self.constant.arm, goals, self.parameters.values(z))
+        others = self.alternatives_array
+        # The tool is turned before it is moved: alternatives are seen from the tool that varies.
+        turned = goals if others is None else turned_goals(goals, others)
+        moved = self.parameters.arm_and_goals(self.constant.arm, turned, self.parameters.values(z))
         sol = solve_at_samples(*moved, self.samples)
+        sol = sol if others is None else joined_alternatives(sol)
         sol = limited_margins(arm, sol) if self.limits else sol
         return jnp.mean(self.objective(arm, sol, blur))
 
@@ -96,13 +112,14 @@ class State:
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def initial_state(plan: DesignPlan, z: jax.Array) -> State:
+def initial_state(plan: DesignPlan, z: jax.Array, bounds: jax.Array) -> State:
+    plan = plan.with_bounds(bounds)
     multipliers = jax.vmap(lambda z: jnp.zeros_like(plan.violations(z)))(z)
     return State(z, jax.vmap(plan.optimizer.init)(z), multipliers)
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def take_steps(plan: DesignPlan, state: State, goals, keys, blurs, penalty):
+def take_steps(plan: DesignPlan, state: State, goals, keys, blurs, penalty, bounds):
     """A few steps of every start, and then one update of the multipliers.
 
     Args:
@@ -112,10 +129,12 @@ def take_steps(plan: DesignPlan, state: State, goals, keys, blurs, penalty):
         keys: (steps,) random keys, for drawing rows of goals.
         blurs: (steps,) [m].
         penalty: Weight of the squared constraints.
+        bounds: (2, k) lower and upper bounds of what varies.
 
     Returns:
         The state, and blurred scores (steps, starts).
     """
+    plan = plan.with_bounds(bounds)
 
     def loss(z, multipliers, goals, blur):
         score, violations = plan.score(z, goals, blur), plan.violations(z)
@@ -151,8 +170,9 @@ def take_steps(plan: DesignPlan, state: State, goals, keys, blurs, penalty):
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def evaluate_exactly(plan: DesignPlan, z: jax.Array, goals: jax.Array):
+def evaluate_exactly(plan: DesignPlan, z: jax.Array, goals: jax.Array, bounds: jax.Array):
     """Numbers (m, k), exact scores (m,) and greatest violations (m,), inf for NaN, of every z."""
+    plan = plan.with_bounds(bounds)
 
     def evaluate(z):
         violations = plan.violations(z)
@@ -184,20 +204,42 @@ class PlacementPlan:
         turned = moved_by_twist(base, (zero, zero, zero, zero, zero, rz))
         return moved_by_twist(turned, (x, y, z, rx, ry, zero))
 
-    def smooth_score(self, values: jax.Array, goals: jax.Array, blur: jax.Array):
+    def smooth_score(self, values: jax.Array, data: "PlacementData", blur: jax.Array):
         """The smooth score; and the exact number of goals reached and worst margin [m]."""
+        goals, real = data.goals, data.real
         arm = self.constant.arm
         # The base is fixed and the goals move instead: more of the arm is then constant in the kernel.
         base = jnp.asarray(arm.base, values.dtype)
         back = pose_product(base, pose_inverse(self.moved_base(base, values)))
-        sol = solve_at_samples(arm, pose_product(back, goals), self.samples)
+        sol = solve_alternatives(arm, pose_product(back, goals), data.alternatives, self.samples)
         sol = limited_margins(arm, sol) if self.limits else sol
         best = smooth_max(sol.margin, blur)
         # Where all goals are reached the share is constant; the worst margin still has a gradient.
-        worst = smooth_min(best, blur) / float(reach(arm))
-        score = jnp.sum(jax.nn.sigmoid(best / blur)) + worst / 2
-        count = jnp.sum(sol.valid.any(-1), dtype=jnp.int32)
-        return score, (count, jnp.min(jnp.max(sol.margin, axis=-1)))
+        worst = smooth_min(best, blur, where=real) / float(reach(arm))
+        score = jnp.sum(jnp.where(real, jax.nn.sigmoid(best / blur), 0)) + worst / 2
+        count = jnp.sum(sol.valid.any(-1) & real, dtype=jnp.int32)
+        return score, (count, jnp.min(jnp.where(real, jnp.max(sol.margin, axis=-1), jnp.inf)))
+
+    def is_allowed(self, values: jax.Array, data: "PlacementData") -> jax.Array:
+        """Whether the base may stand where the coordinates put it."""
+        given = dict(zip(self.free_coordinates, values, strict=True))
+        shift = [given.get(name, jnp.zeros_like(values[0])) for name in TWIST[:3]]
+        home = jnp.asarray(self.constant.arm.base, values.dtype)
+        return data.allowed.at_one(jnp.stack([home[k, 3] + shift[k] for k in range(3)]))
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class PlacementData:
+    """The numbers of a placement, which no program depends on but for their shapes."""
+
+    goals: jax.Array
+    """(g, 4, 4), some of them padding."""
+    real: jax.Array
+    """(g,) bool: no padding."""
+    alternatives: jax.Array | None
+    """(m, 4, 4) of which one must do, or None; see `solve_alternatives`."""
+    allowed: Allowed
 
 
 @jax.tree_util.register_dataclass
@@ -219,14 +261,14 @@ _ADAM = optax.scale_by_adam(b1=0.8, b2=0.9)
 
 @functools.partial(jax.jit, static_argnums=0)
 def polish_placements(
-    plan: PlacementPlan, values, goals, units, lower, upper, blurs, rates
+    plan: PlacementPlan, values, data: PlacementData, units, lower, upper, blurs, rates
 ) -> BestPlacements:
     """The best placement that each start passes, the start itself included.
 
     Args:
         plan: What is fixed.
         values: (m, k) where to start.
-        goals: (g, 4, 4).
+        data: Goals and where the base may stand.
         units: (k,) a step of one, in each coordinate.
         lower, upper: (k,) bounds.
         blurs, rates: (steps + 1,) of each step; the last placement is only evaluated.
@@ -234,9 +276,9 @@ def polish_placements(
 
     def evaluate(values, blur):
         if len(blurs) == 1:  # no step is taken, so that no gradient need be compiled
-            return jnp.zeros_like(values), *plan.smooth_score(values, goals, blur)[1]
+            return jnp.zeros_like(values), *plan.smooth_score(values, data, blur)[1]
         value_and_gradient = jax.value_and_grad(plan.smooth_score, has_aux=True)
-        (_, exact), gradient = value_and_gradient(values, goals, blur)
+        (_, exact), gradient = value_and_gradient(values, data, blur)
         return jnp.where(jnp.isfinite(gradient).all(), gradient, 0), *exact
 
     def step(state, inputs):
@@ -245,7 +287,10 @@ def polish_placements(
         gradients, count, worst = jax.lax.map(
             lambda v: evaluate(v, blur), values, batch_size=plan.start_batch_size
         )
-        better = (count > best.count) | ((count == best.count) & (worst > best.worst))
+        # Where the base may not stand it may pass, but it does not stay.
+        better = jax.vmap(lambda v: plan.is_allowed(v, data))(values) & (
+            (count > best.count) | ((count == best.count) & (worst > best.worst))
+        )
         best = jax.tree.map(
             lambda new, old: jnp.where(better.reshape(-1, *[1] * (new.ndim - 1)), new, old),
             BestPlacements(values, count, worst),

@@ -16,6 +16,7 @@ import numpy as np
 
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import reach
+from ikjax.core import vector
 from ikjax.core.pose import Pose, clean
 from ikjax.core.xla import divider, pinning, wide_vectors
 from ikjax.ik.inline import is_small
@@ -41,7 +42,13 @@ LOOK_UP = 2**20
 
 
 def count_reached(
-    arm: Arm, goals: np.ndarray, points: np.ndarray, turns: np.ndarray, limits: bool, samples: int
+    arm: Arm,
+    goals: np.ndarray,
+    points: np.ndarray,
+    turns: np.ndarray,
+    limits: bool,
+    samples: int,
+    alternatives: np.ndarray | None = None,
 ):
     """How many goals each base reaches, and the worst margin.
 
@@ -52,6 +59,7 @@ def count_reached(
         turns: (t,) about z [rad].
         limits: Whether the joint limits count.
         samples: Values of each redundant joint.
+        alternatives: (m, 4, 4) what the tool may be turned by, of which one must do.
 
     Returns:
         Goals reached (c, t), int; the worst goal's margin [m], limits ignored, (c, t).
@@ -62,6 +70,9 @@ def count_reached(
     numbers = np.zeros((len(points), len(turns)), np.int64)
     worst = np.full(numbers.shape, np.inf)
     home = np.asarray(arm.base, float)[:3, 3]
+    rotations = None
+    if alternatives is not None:
+        rotations = alternatives[:, :3, :3].reshape(-1, 9).astype(goals.dtype)
     for t, turn in enumerate(turns):
         rotation, position = _goals_seen_from(goals, turn)
         shift = points @ _about_z(-turn).T - home
@@ -77,7 +88,7 @@ def count_reached(
             base_count = len(shift[at : at + CALL])
             bases[:, :base_count] = shift[at : at + CALL].T
             blocks = np.int32(-(-base_count * width // BLOCK))
-            counted = count(table, np.int32(goal_count), bases, blocks)
+            counted = count(table, np.int32(goal_count), bases, blocks, rotations)
             hits, margins = (np.asarray(x)[:base_count] for x in counted)
             numbers[at : at + CALL, t] += hits
             worst[at : at + CALL, t] = np.minimum(worst[at : at + CALL, t], margins)
@@ -90,7 +101,7 @@ def _counting_program(constant: ConstantArm, limits: bool, width: int, samples: 
     arm, depth = constant.arm, BLOCK // width
     redundancy = np.asarray(middles(arm, samples, arm.dtype)) if arm.locked else None
 
-    def count(table, goal_count, bases, blocks):
+    def count(table, goal_count, bases, blocks, rotations):
         is_goal = (jnp.arange(width, dtype=jnp.int32) < goal_count)[None]
         rotation = tuple(tuple(table[3 * i + j][None] for j in range(3)) for i in range(3))
 
@@ -103,15 +114,22 @@ def _counting_program(constant: ConstantArm, limits: bool, width: int, samples: 
             spread = tuple(tuple(jnp.broadcast_to(x, shape) for x in row) for row in rotation)
             goal, proper = clean(Pose(spread, position), reach(arm))
 
-            def at_values(*free):
+            def at_values(free, rotation):
+                turned = goal
+                if rotation is not None:
+                    by = tuple(tuple(rotation[3 * i + j] for j in range(3)) for i in range(3))
+                    turned = Pose(vector.matmul(goal.rotation, by), goal.position)
                 with pinning(None if is_small(arm) else divider(position[0])):
-                    slots = solve_scalars(arm, goal, free=free)
+                    slots = solve_scalars(arm, turned, free=free)
                 flags = Goal(arm, slots, divider(position[0]), shape, {}).flags(limits)
                 hit = functools.reduce(jnp.logical_or, flags)
                 margin = functools.reduce(jnp.maximum, [slot.margin for slot in slots])
                 return hit, jnp.broadcast_to(margin, shape)
 
-            hit, margin = at_values() if redundancy is None else _best_value(at_values, redundancy, shape)
+            if redundancy is None and rotations is None:
+                hit, margin = at_values((), None)
+            else:
+                hit, margin = _best_value(at_values, redundancy, rotations, shape, table.dtype)
             hit = hit & proper & is_goal
             part = jnp.sum(hit, axis=1, dtype=jnp.int32), jnp.min(margin, axis=1)
             return tuple(
@@ -125,21 +143,29 @@ def _counting_program(constant: ConstantArm, limits: bool, width: int, samples: 
     return jax.jit(count, compiler_options=wide_vectors())
 
 
-def _best_value(at_values, redundancy: np.ndarray, shape: tuple[int, ...]):
-    """Whether some row of values (m, k) reaches each goal, and the greatest margin of all rows."""
-    table = jnp.asarray(redundancy)
+def _best_value(at_values, redundancy: np.ndarray | None, rotations, shape: tuple[int, ...], dtype):
+    """Whether a row of values (m, k) at a rotation (r, 9) reaches each goal, and the greatest margin."""
+    table = jnp.zeros((1, 0), dtype) if redundancy is None else jnp.asarray(redundancy)
+    samples = len(table)
 
     def value(m, best):
-        hit, margin = at_values(*(table[m, j] for j in range(table.shape[1])))
+        at = m % samples
+        rotation = None if rotations is None else rotations[m // samples]
+        hit, margin = at_values(tuple(table[at, j] for j in range(table.shape[1])), rotation)
         return best[0] | hit, jnp.maximum(best[1], margin)
 
-    return jax.lax.fori_loop(
-        0, len(table), value, (jnp.zeros(shape, bool), jnp.full(shape, -jnp.inf, table.dtype))
-    )
+    start = jnp.zeros(shape, bool), jnp.full(shape, -jnp.inf, dtype)
+    return jax.lax.fori_loop(0, samples * (1 if rotations is None else len(rotations)), value, start)
 
 
 def look_up_shares(
-    reach_map: ReachMap, arm: Arm, goals: np.ndarray, points: np.ndarray, turns: np.ndarray, limits: bool
+    reach_map: ReachMap,
+    arm: Arm,
+    goals: np.ndarray,
+    points: np.ndarray,
+    turns: np.ndarray,
+    limits: bool,
+    alternatives: np.ndarray | None = None,
 ) -> np.ndarray:
     """The share of goals (c, t) that a map says are reached, at its nearest position and orientation.
 
@@ -163,7 +189,13 @@ def look_up_shares(
     size = np.array(grid.shape)
     for t, turn in enumerate(turns):
         rotation, position = _goals_seen_from(goals, turn)
-        nearest = _nearest_orientations(reach_map, view @ rotation) if exact else None
+        nearest = None
+        if exact:
+            turned = (
+                rotation[:, None] if alternatives is None else rotation[:, None] @ alternatives[:, :3, :3]
+            )
+            nearest = _nearest_orientations(reach_map, (view @ turned).reshape(-1, 3, 3))
+            nearest = nearest.reshape(len(goals), -1)
         shift = points @ _about_z(-turn).T
         for first in range(0, len(points), at_a_time):
             chosen = slice(first, first + at_a_time)
@@ -171,7 +203,10 @@ def look_up_shares(
             cell = np.rint((seen - np.array(grid.origin)) / grid.spacing)
             inside = ((cell >= 0) & (cell < size)).all(-1)
             i, j, k = np.moveaxis(np.where(inside[..., None], cell, 0).astype(np.int64), -1, 0)
-            value = table[i, j, k] if nearest is None else table[i, j, k, nearest[None]]
+            if nearest is None:
+                value = table[i, j, k]
+            else:
+                value = functools.reduce(np.maximum, [table[i, j, k, each[None]] for each in nearest.T])
             shares[chosen, t] = np.where(inside, value, 0).mean(1)
     return shares
 

@@ -18,13 +18,15 @@ from ikjax.arm.arm import Arm
 from ikjax.arm.forward import reach
 from ikjax.core.tolerances import CONSTRAINT_MET
 from ikjax.ik.check import check_goals
-from ikjax.ik.redundancy import checked_samples, solve_at_samples
+from ikjax.ik.redundancy import checked_samples, solve_alternatives
 from ikjax.ik.select import within_limits
 from ikjax.ik.solve import as_goals, check_family
+from ikjax.maps.sets.orientations import Orientations
 from ikjax.synthesis import ascent
+from ikjax.synthesis.alternatives import checked_alternatives
 from ikjax.synthesis.ascent import Constraint, Objective
 from ikjax.synthesis.objectives import NAMED
-from ikjax.synthesis.parameters import choose_parameters
+from ikjax.synthesis.parameters import Parameters, choose_parameters
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -57,6 +59,18 @@ class DesignResult:
     """Rows of the goals that are no poses."""
     goals: np.ndarray
     """The goals of `reached`: without those rows."""
+    at_bounds: tuple[str, ...] = ()
+    """What ended at a bound, "a2 = 0.6 (upper)": there the best arm may lie beyond."""
+
+    def __repr__(self) -> str:
+        values = ", ".join(f"{name} = {value:.5g}" for name, value in self.values.items())
+        lines = [
+            f"<DesignResult of {self.start.name}: score {self.start_score:.4g} -> {self.score:.4g}",
+            f"  {values}",
+            f"  {self.reached.sum():,} of {self.reached.size:,} goals reached",
+        ]
+        lines += [f"  at a bound: {', '.join(self.at_bounds)}"] if self.at_bounds else []
+        return "\n".join(lines) + ">"
 
     def report(self, most: int = 10) -> str:
         """The study in a few lines for people, with the goals that are worst out of reach."""
@@ -68,6 +82,8 @@ class DesignResult:
         for name, value in self.values.items():
             unit = "rad" if name.rpartition(".")[2].startswith("r") or name[:2] in ("al", "th") else "m"
             lines.append(f"  {name:8} {value:+.5f} {unit}")
+        if self.at_bounds:
+            lines.append(f"  at a bound: {', '.join(self.at_bounds)}; wider ones may give a better arm")
         if self.violation > -np.inf:
             lines.append(f"  constraints: the worst is {self.violation:+.2g}, wanted at most 0")
         lost = np.argwhere(~self.reached)
@@ -122,6 +138,8 @@ def design(
     batch: int | None = None,
     local_search: int = 0,
     redundancy_samples: int | None = None,
+    free_rolls: int = 1,
+    alternatives: Orientations | int | np.ndarray | None = None,
     seed: int = 0,
     progress: Callable[[int, np.ndarray], Any] | None = None,
 ) -> DesignResult:
@@ -152,6 +170,8 @@ def design(
         redundancy_samples: Of an arm with redundant joints: so many values of each are tried, 16 by default,
             the middles of equal parts of its range; the branches at all of them are those of a goal. `sol`
             then has them as its slots, those of the first value first.
+        free_rolls, alternatives: Where the tool may turn about its axis, may lean, or only the point matters,
+            as in `place`: a goal counts once, and `sol` has the slots of all that is tried.
         seed: Of the random starts and of the drawn goals.
         progress: Called with the steps done and the scores (starts,) after every chunk.
 
@@ -164,6 +184,7 @@ def design(
             comparison, for example).
     """
     check_family(arm)
+    others = checked_alternatives(free_rolls, alternatives)
     samples = checked_samples(arm, redundancy_samples, SAMPLES)
     goals = as_goals(goals)
     goals = goals[None] if goals.ndim == 2 else goals
@@ -181,21 +202,24 @@ def design(
     parameters = choose_parameters(arm, vary, ties, inequalities)
     batch = batch if batch is not None and batch < len(goals) else None
     size = float(reach(arm.baked()))
+    rows = (batch or len(goals)) * int(np.prod(goals.shape[1:-2]))
     plan = ascent.DesignPlan(
         ascent.ConstantArm(arm),
-        parameters,
+        parameters.with_bounds(()),
         objective,
         functions,
         _default_optimizer(steps) if optimizer is None else optimizer,
         limits,
         batch,
-        ascent.starts_at_a_time(arm, BATCH_SIZE // ((batch or len(goals)) * int(np.prod(goals.shape[1:-2])))),
+        ascent.starts_at_a_time(arm, BATCH_SIZE // (rows * (1 if others is None else len(others)))),
         samples,
+        None if others is None else tuple(map(tuple, others.reshape(-1, 16).tolist())),
     )
+    ends = jnp.asarray([parameters.lower, parameters.upper], goals.dtype)
     first = parameters.coordinates(parameters.of(arm))
     rest = parameters.random(np.random.default_rng(seed), starts - 1)
     z = jnp.asarray(np.concatenate([first[None], rest]), goals.dtype)
-    state = ascent.initial_state(plan, z)
+    state = ascent.initial_state(plan, z, ends)
     blurs = size * np.geomspace(*blur, max(steps, 1))
     scores = []
     for at in range(0, steps, CHUNK):
@@ -203,12 +227,12 @@ def design(
         keys = jax.random.split(jax.random.fold_in(jax.random.key(seed), at), count)
         penalty = min(PENALTY * 2.0 ** (at // CHUNK), 1000 * PENALTY)
         weights = (jnp.asarray(blurs[at : at + count], z.dtype), jnp.asarray(penalty, z.dtype))
-        state, score = ascent.take_steps(plan, state, goals, keys, *weights)
+        state, score = ascent.take_steps(plan, state, goals, keys, *weights, ends)
         scores.append(np.asarray(score))
         if progress is not None:
             progress(at + count, scores[-1][-1])
     candidates = np.concatenate([z, state.z])
-    evaluate = functools.partial(ascent.evaluate_exactly, plan, goals=goals)
+    evaluate = functools.partial(ascent.evaluate_exactly, plan, goals=goals, bounds=ends)
     numbers, exact, violations = (np.asarray(x) for x in evaluate(jnp.asarray(candidates, z.dtype)))
     if np.isnan(exact).all():
         raise ValueError(
@@ -220,7 +244,7 @@ def design(
         best = _search_locally(evaluate, candidates[i], best, local_search, seed, len(candidates))
     number, score, violation = best
     made = parameters.put(arm, jnp.asarray(number, goals.dtype))
-    sol = solve_at_samples(made, goals, samples)
+    sol = solve_alternatives(made, goals, others, samples)
     sol = within_limits(made, sol) if limits else sol
     return DesignResult(
         arm=made,
@@ -236,7 +260,25 @@ def design(
         violation=float(violation),
         left_out=np.flatnonzero(~is_pose),
         goals=np.asarray(goals),
+        at_bounds=_met_bounds(parameters, number),
     )
+
+
+def _met_bounds(parameters: Parameters, values: np.ndarray) -> tuple[str, ...]:
+    """Names of what is at a bound, to a fiftieth of the width between its bounds."""
+    met = []
+    for name, low, high, value in zip(
+        parameters.names, parameters.lower, parameters.upper, values.tolist(), strict=True
+    ):
+        for bound, side in ((low, "lower"), (high, "upper")):
+            if abs(value - bound) <= MET_BOUND * (high - low):
+                met.append(f"{name} = {bound:g} ({side})")
+    return tuple(met)
+
+
+MET_BOUND = 0.02
+"""So near to a bound, in widths between the bounds, counts as at it: ascent only approaches a bound, and the
+local search tries the bound itself from there."""
 
 
 def _best_index(exact: np.ndarray, violations: np.ndarray, is_start: np.ndarray) -> int:

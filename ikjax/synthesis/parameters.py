@@ -10,6 +10,7 @@ dual, which is convex (Bregman 1967).
 """
 
 import dataclasses
+import functools
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -36,12 +37,19 @@ class Parameters:
 
     names: tuple[str, ...]
     """"a2", "d4", "base.x", ..., "tool.rz"; shifts [m] and turns [rad] of base and tool count from zero."""
-    lower: tuple[float, ...]
-    upper: tuple[float, ...]
+    lower: Any
+    """(k,) a tuple; empty in a plan, whose bounds are data, and traced inside a program."""
+    upper: Any
+    """(k,) likewise."""
     ties: tuple[tuple[float, ...], ...] = ()
     """A row for each tie: its coefficients, one for each name, and then the right-hand side."""
     inequalities: tuple[tuple[float, ...], ...] = ()
     """A row for each linear constraint: its coefficients, and then the greatest value of their sum."""
+
+    def with_bounds(self, bounds: Any) -> "Parameters":
+        """The same with other bounds, (2, k); none of them for ()."""
+        lower, upper = bounds if len(bounds) else ((), ())
+        return dataclasses.replace(self, lower=lower, upper=upper)
 
     def values(self, z: jax.Array) -> jax.Array:
         """The numbers (k,) of coordinates z (k,): within bounds, and on the ties."""
@@ -119,12 +127,13 @@ class Parameters:
         """Coordinates shifted by the rows of the ties, so that the numbers meet them."""
         if not self.ties:
             return z
-        table = np.array(self.ties)
-        lower, width = np.array(self.lower), np.array(self.upper) - np.array(self.lower)
-        rows, wanted = table[:, :-1] * width, table[:, -1] - table[:, :-1] @ lower
-        size = np.linalg.norm(rows, axis=1)
-        rows, wanted = (jnp.asarray(x, z.dtype) for x in (rows / size[:, None], wanted / size))
-        count, tiny = len(size), float(jnp.finfo(z.dtype).tiny) ** 0.5
+        table = jnp.asarray(np.array(self.ties), z.dtype)
+        lower, upper = (jnp.asarray(ends, z.dtype) for ends in (self.lower, self.upper))
+        rows = table[:, :-1] * (upper - lower)[None]
+        wanted = table[:, -1] - (table[:, :-1] * lower[None]).sum(-1)
+        size = jnp.sqrt((rows * rows).sum(-1))
+        rows, wanted = rows / size[:, None], wanted / size
+        count, tiny = len(table), float(jnp.finfo(z.dtype).tiny) ** 0.5
 
         def shifted(z, dual):
             return z + (rows * dual[:, None]).sum(0)
@@ -318,10 +327,16 @@ def _term(term: str, text: str, kind: _Kind) -> tuple[float, str | None]:
     return float(factor or 1), name
 
 
+@functools.partial(jax.jit, static_argnums=0)
+def _values_between(parameters: Parameters, bounds: jax.Array, z: jax.Array) -> jax.Array:
+    return parameters.with_bounds(bounds).values(z)
+
+
 def _check_ties(made: Parameters, ties: Sequence[str]) -> None:
     if not ties:
         return
-    values = np.asarray(made.values(jnp.zeros(len(made.names))), float)
+    bounds = jnp.asarray([made.lower, made.upper], float)
+    values = np.asarray(_values_between(made.with_bounds(()), bounds, jnp.zeros(len(made.names))), float)
     for row, text in zip(np.array(made.ties), ties, strict=True):
         residual = row[:-1] @ values - row[-1]
         if not abs(residual) < 1e-5 * (1 + abs(row[-1])):

@@ -12,7 +12,7 @@ import pytest
 import ikjax
 from ikjax import cli, robots
 
-GOAL = ["--xyz", "0.4", "0.2", "0.3", "--rpy", "3.14", "0", "0.6"]
+GOAL = ["--xyz", "0.4", "0.2", "0.3", "--rpy", "179.9", "0", "34.4"]
 FAR = ["--xyz", "9", "0", "0"]
 
 
@@ -68,10 +68,10 @@ def test_info_prints_a_table_and_the_family(run):
 def test_info_prints_the_named_poses_with_the_flange(run):
     code, out, _ = run("info", "ur5e")
     head, *rows = out.splitlines()[-5:]
-    assert (code, head) == (0, "Named poses (4):")
+    assert (code, head) == (0, "Named poses (4), q in deg:")
     assert [row.split()[0] for row in rows] == list(robots.poses("ur5e"))
     # z = 0.1625 + 0.425 + 0.3922 + 0.0997, y = -(0.1333 + 0.0996).
-    assert rows[2].endswith("flange at (0, -0.2329, 1.0794) m, q = (0, -1.5708, 0, -1.5708, 0, 0)")
+    assert rows[2].endswith("flange at (0, -0.2329, 1.0794) m, q = (0, -90, 0, -90, 0, 0)")
     up = json.loads(run("info", "ur5e", "--json")[1])["poses"]["up"]
     assert up["xyz"] == pytest.approx([0, -0.2329, 1.0794]) and tuple(up["q"]) == robots.poses("ur5e")["up"]
     assert "Named poses" not in run("info", "stanford")[1]
@@ -146,7 +146,7 @@ def test_both_precisions_agree(run):
         (["solve", "puma560", "--xyz", "1", "2", "three"], "invalid float value: 'three'"),
         (["solve", "puma560", "--xyz", "nan", "0", "0"], "finite"),
         (["solve", "puma560", "--xyz", "0", "0", "0", "--wxyz", "0", "0", "0", "0"], "length 1"),
-        (["solve", "puma560", *GOAL, "--q-now", "1", "2"], "q_now must have shape"),
+        (["solve", "puma560", *GOAL, "--from", "1", "2"], "--from takes 6 values for puma560, got 2"),
         (["solve", "puma560", *GOAL, "--\x1b[2J"], r"\x1b[2J"),
         (["sweep", "puma560", "--spacing", "0"], "not a positive number"),
         (["sweep", "puma560", "--spacing", "nan"], "not a positive number"),
@@ -216,11 +216,11 @@ def test_a_map_has_a_page_and_two_maps_are_compared(run, swept, tmp_path, monkey
     assert (
         out.startswith("gx4_351s: ")
         and "positions that differ      0" in out
-        and "page              a.html" in out
+        and "page              a-a.html" in out
     )
-    text = (tmp_path / "a.html").read_text()
+    text = (tmp_path / "a-a.html").read_text()
     assert "Compared" in text and "0 better" not in text  # the counts are in the picture
-    assert (tmp_path / "a.png").stat().st_size > 10_000
+    assert (tmp_path / "a-a.png").stat().st_size > 10_000
 
 
 def test_without_matplotlib_a_map_still_has_its_summary(run, swept, tmp_path, monkeypatch):
@@ -266,11 +266,11 @@ def test_a_reader_that_leaves_early_is_no_error():
         assert b"Traceback" not in program.stderr.read()
 
 
-def test_a_slide_is_printed_in_millimetres(capsys):
-    code = cli.main(["solve", "gx4_351s", "--xyz", "0.2", "0.1", "-0.05", "--rpy", "0", "0", "0.3"])
+def test_a_slide_is_printed_in_meters(capsys):
+    code = cli.main(["solve", "gx4_351s", "--xyz", "0.2", "0.1", "-0.05", "--rpy", "0", "0", "17"])
     out = capsys.readouterr().out
     assert code == 0
-    assert "q3 [mm]" in out and "-50.0" in out and "q1 [deg]" in out
+    assert "q3 [m]" in out and "-0.0500" in out and "q1 [deg]" in out
 
 
 def test_an_arm_can_be_a_urdf_file(capsys, tmp_path):
@@ -351,7 +351,7 @@ def test_an_option_of_files_is_refused_for_the_catalogue(run):
 
 def test_a_goal_may_be_a_rotation_vector_or_a_quaternion_with_its_scalar_last(run):
     words = ["solve", "ur5", "--xyz", "0.4", "0.2", "0.3", "--json"]
-    turns = [["--rpy", "0", "0", "1"], ["--rotvec", "0", "0", "1"]]
+    turns = [["--rpy", "0", "0", "1", "--radians"], ["--rotvec", "0", "0", "57.29577951308232"]]
     turns.append(["--xyzw", "0", "0", "0.479425538604203", "0.8775825618903728"])
     goals = [json.loads(run(*words, *turn)[1])["goal"] for turn in turns]
     for goal in goals[1:]:

@@ -22,7 +22,7 @@ def read(tmp_path):
 def test_a_short_study_takes_the_defaults(read):
     study = read(SHORT)
     assert study.arm.name == "ur5" and study.positions == ikjax.maps.around(study.arm, 0.5)
-    assert study[2:] == (8, 1, STATISTICS, None, "float32", False, None)
+    assert study[2:] == (8, 1, STATISTICS, None, "float32", False, None, None)
 
 
 def test_a_study_can_say_everything(read, tmp_path):
@@ -99,7 +99,10 @@ def test_a_study_names_the_ends_of_a_files_arm(read, tmp_path):
 @pytest.mark.parametrize(
     "text, says",
     [
-        (SHORT + "spacin = 1", "no key 'spacin'; the keys are arm, base, tip, axis_tolerance, spacing"),
+        (
+            SHORT + "spacin = 1",
+            "no key 'spacin'; the keys are angles, arm, base, tip, axis_tolerance, fixed_joints",
+        ),
         (SHORT + "rolls = 2", "'rolls' is called 'free_rolls' now"),
         (SHORT + "tolerance = 1e-3", "'tolerance' is called 'axis_tolerance' now"),
         ('arm = "ur5"\nspacing = 0.5', "orientations is missing"),

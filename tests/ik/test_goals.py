@@ -106,8 +106,8 @@ def test_a_good_batch_passes_the_host_check():
     assert ikjax.check_goals(ARM, np.tile(goal(), (2, 3, 1, 1))) is None
 
 
-def test_the_host_check_counts_the_others():
-    with pytest.raises(ValueError, match=r"goals\[0, 1\] \(and 2 more\)"):
+def test_the_host_check_names_the_others():
+    with pytest.raises(ValueError, match=r"goals\[0, 1\] \(and 2 more: \[0, 2\], \[1, 0\]\)"):
         batch = np.tile(goal(), (2, 3, 1, 1))
         batch[0, 1:, 0, 0], batch[1, 0, 1, 3] = np.nan, np.inf
         ikjax.check_goals(ARM, batch)

@@ -91,6 +91,46 @@ def test_limit_distance_and_margin_are_those_of_the_best_solution(arm, swept, so
     assert np.allclose(swept.arrays["best_margin_within"].reshape(-1), margin, atol=1e-6)
 
 
+def lost_by_hand(arm, goals, rolls: int = 1):
+    """Per joint, which goals (...,) a solution reaches within all other limits, and none within all."""
+    turned = [goals @ np.asarray(ikjax.pose(rpy=(0, 0, k * 2 * np.pi / rolls))) for k in range(rolls)]
+
+    def reached(limits):
+        free = dataclasses.replace(arm, limits=limits)
+        sols = [ikjax.within_limits(free, ikjax.solve(arm, goal)) for goal in turned]
+        return np.any([np.asarray(sol.valid).any(-1) for sol in sols], axis=0)
+
+    limits = np.asarray(arm.limits)
+    within = reached(limits)
+    unlimited = [np.where(np.arange(arm.n)[:, None] == j, [-np.inf, np.inf], limits) for j in range(arm.n)]
+    return np.stack([reached(each) & ~within for each in unlimited], -1)
+
+
+@pytest.mark.parametrize(("rolls", "certify"), [(1, False), pytest.param(3, True, marks=pytest.mark.slow)])
+def test_limited_by_counts_what_one_joint_alone_loses(rolls, certify):
+    arm = ikjax.robots.puma560()
+    positions = ikjax.maps.grid((0.2, -0.6, -0.4), (0.8, 0.6, 0.8), 0.2)
+    found = ikjax.sweep(
+        arm,
+        positions,
+        16,
+        statistics=["reachable", "reachable_within", "limited_by"],
+        free_rolls=rolls,
+        certify=certify,
+        dtype="float32" if certify else "float64",
+    )
+    points, turned = positions.points().reshape(-1, 1, 3), found.rotations
+    goals = np.zeros((len(points), len(turned), 4, 4))
+    goals[..., :3, :3], goals[..., :3, 3], goals[..., 3, 3] = turned, points, 1
+    lost = lost_by_hand(arm, goals, rolls).sum(1)
+    assert (lost.sum(0) > 0).sum() >= 3  # several joints cost some
+    np.testing.assert_array_equal(found.arrays["limited_by"].reshape(-1, arm.n), lost)
+    shares = found.numbers()["limited_by"]
+    np.testing.assert_allclose(shares, lost.sum(0) / found.goals)
+    worst = int(np.argmax(shares))
+    assert f"lost to one joint alone: joint{worst + 1} {shares[worst]:.2%}" in found.summary()
+
+
 def test_a_measure_of_ones_own_is_reduced_exactly(swept, solved, tmp_path):
     flat = {name: value.reshape(-1) for name, value in swept.to_numpy().items()}
     assert (flat["elbows"] == np.asarray(solved.valid).sum((1, 2))).all()

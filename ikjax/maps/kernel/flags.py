@@ -7,6 +7,7 @@ these otherwise.
 """
 
 import math
+from collections.abc import Iterator
 
 import jax
 import jax.numpy as jnp
@@ -33,15 +34,26 @@ def slot_within_limits(arm: Arm, slot: Slot, slack: float | None = None) -> jax.
     Returns:
         bool, of the slot's shape; a scalar where no joint has limits.
     """
+    inside = jnp.asarray(True)
+    for _, flag in joints_within_limits(arm, slot, slack):
+        inside = inside & flag
+    return inside
+
+
+def joints_within_limits(arm: Arm, slot: Slot, slack: float | None = None) -> Iterator[tuple[int, jax.Array]]:
+    """Each joint that has limits, counted from 0, and whether whole turns can bring it between them.
+
+    Arguments as in `slot_within_limits`.
+    """
     slack = 8 * float(jnp.finfo(arm.dtype).eps) if slack is None else slack
     if arm.coupling is not None:
-        return _coupled_within_limits(arm, slot, slack)
-    inside = jnp.asarray(True)
+        yield from _coupled_within_limits(arm, slot, slack)
+        return
     rows = zip(links(arm), slot.joints, slot.q, arm.limits.tolist(), strict=True)
-    for link, joint, value, (lower, upper) in rows:
+    for i, (link, joint, value, (lower, upper)) in enumerate(rows):
         width = upper - lower
         if link.kind == "P":
-            inside = inside & (value >= lower - slack) & (value <= upper + slack)
+            yield i, (value >= lower - slack) & (value <= upper + slack)
             continue
         if width >= 2 * math.pi:
             continue
@@ -55,8 +67,7 @@ def slot_within_limits(arm: Arm, slot: Slot, slack: float | None = None) -> jax.
             between &= joint.cos * math.cos(middle) + joint.sin * math.sin(middle) > -max(slack, 0)
         else:
             between = (past_first >= -slack) | (before_last >= -slack)
-        inside = inside & between
-    return inside
+        yield i, between
 
 
 def limit_share(arm: Arm, slot: Slot) -> jax.Array:
@@ -91,17 +102,34 @@ def limit_share(arm: Arm, slot: Slot) -> jax.Array:
     return least
 
 
-def _coupled_within_limits(arm: Arm, slot: Slot, slack: float) -> jax.Array:
+def _coupled_within_limits(arm: Arm, slot: Slot, slack: float) -> Iterator[tuple[int, jax.Array]]:
     """The same for coupled joints: their limits are those of the motors, so angles are needed."""
-    inside = jnp.asarray(True)
-    for whole, value, (lower, upper) in zip(whole_turns(arm), slot.q, arm.limits.tolist(), strict=True):
+    rows = zip(whole_turns(arm), slot.q, arm.limits.tolist(), strict=True)
+    for i, (whole, value, (lower, upper)) in enumerate(rows):
         if whole and upper - lower >= 2 * math.pi:
             continue
         if whole:
             turn = 2 * math.pi
             value = value + turn * jnp.ceil((lower - slack - value) / turn)
-        inside = inside & (value >= lower - slack) & (value <= upper + slack)
-    return inside
+        yield i, (value >= lower - slack) & (value <= upper + slack)
+
+
+def within_all_but_one(arm: Arm, slot: Slot) -> list[jax.Array | bool]:
+    """For each joint, whether all other joints of a slot are within their limits.
+
+    Args:
+        arm: A baked arm.
+        slot: One of its slots.
+    """
+    flags: list[jax.Array | bool] = [True] * arm.n
+    for i, inside in joints_within_limits(arm, slot):
+        flags[i] = inside
+    before: list[jax.Array | bool] = [True]
+    after: list[jax.Array | bool] = [True]
+    for flag, last in zip(flags[:-1], flags[:0:-1], strict=True):
+        before.append(before[-1] & flag)
+        after.append(after[-1] & last)
+    return [first & rest for first, rest in zip(before, reversed(after), strict=True)]
 
 
 FREEDOMS = {"pose": 6, "position": 3, "planar_pose": 3, "planar_position": 2}

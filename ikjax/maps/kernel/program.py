@@ -20,6 +20,7 @@ from ikjax.maps.kernel.accumulators import JOIN_CALLS, Accumulator, passes_for
 from ikjax.maps.kernel.certify import Certifier, certified_channels, certifying_program
 from ikjax.maps.kernel.loop import BLOCKS, CALL, ORIENTATIONS, POSITIONS, LoopSpec, loop, trials_of
 from ikjax.maps.kernel.sample import GOALS_PER_WORD
+from ikjax.maps.sets.positions import Grid
 from ikjax.maps.sets.protocol import Tables
 from ikjax.maps.statistics import Plan
 from ikjax.maps.store import manifest
@@ -142,6 +143,10 @@ class Kernel:
 def kernel_of(study: manifest.Study, plan: Plan) -> Kernel:
     """The compiled loop of a sweep. The program is cached for the next sweep of the same study.
 
+    Another box grid needs no other program, unless doubtful goals are certified or one of its edges passes a
+    power of two. Another arm does, with any other number of it: tool, mount and limits are constants of the
+    program.
+
     Positions are divided among this process's devices, each of which runs the same program.
 
     Args:
@@ -152,7 +157,11 @@ def kernel_of(study: manifest.Study, plan: Plan) -> Kernel:
     dtype = np.dtype(study.dtype)
     arm = as_solved(study.arm.astype(dtype).baked())
     trials = trials_of(arm, study.free_rolls, study.redundancy_samples)
+    # The program that certifies takes the tables as they are.
+    as_data = isinstance(positions, Grid) and not plan.certify
     tables = positions.tables(dtype), orientations.tables(dtype)
+    if as_data:
+        tables = tuple(map(_padded, tables[0])), tables[1]
     passes = passes_for(plan.channels, trials.number, is_small(arm), plan.certify)
     accumulators = [accumulator for this_pass in passes for accumulator in this_pass.accumulators]
     devices = jax.local_devices()
@@ -163,7 +172,11 @@ def kernel_of(study: manifest.Study, plan: Plan) -> Kernel:
         {
             # A certified sweep solves the arm as it was given too, not only as it is rounded to `dtype`.
             "arm": manifest.arm_spec(study.arm.astype("float64") if plan.certify else arm),
-            "sets": [manifest.set_spec(positions), manifest.set_spec(orientations)],
+            # Where a grid lies, its spacing and its edges are data.
+            "sets": [
+                "Grid" if as_data else manifest.set_spec(positions),
+                manifest.set_spec(orientations),
+            ],
             "shapes": [x.shape for part in tables for x in part],
             "trials": [study.free_rolls, study.redundancy_samples],
             "devices": len(devices),
@@ -186,6 +199,16 @@ def kernel_of(study: manifest.Study, plan: Plan) -> Kernel:
     if certifying is not None:
         kernel.certifier = Certifier.of(certifying, positions, orientations, passes)
     return kernel
+
+
+def _padded(column: np.ndarray) -> np.ndarray:
+    """Coordinates along an axis, repeated to a power of two: a program is compiled for their number."""
+    width = max(LEAST_COORDINATES, 2 ** int(np.ceil(np.log2(len(column)))))
+    return np.pad(column, (0, width - len(column)), mode="edge")
+
+
+LEAST_COORDINATES = 128
+"""Grids of fewer positions along an axis share a program."""
 
 
 def _compile_loop(spec: LoopSpec, tables: tuple[Tables, Tables], mesh: Mesh) -> Callable[..., Any]:

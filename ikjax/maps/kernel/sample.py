@@ -1,14 +1,16 @@
 """What a channel of a sweep's loop sees of a goal, and what a channel is."""
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 
 from ikjax.arm.arm import Arm
 from ikjax.core.pose import Pose
 from ikjax.core.xla import Pin, through_one_number
-from ikjax.maps.kernel.flags import any_doubtful, slot_within_limits
+from ikjax.maps.kernel.flags import any_doubtful, slot_within_limits, within_all_but_one
 from ikjax.solvers.pipeline import Slot
 
 GOALS_PER_WORD = 32
@@ -16,6 +18,10 @@ GOALS_PER_WORD = 32
 
 DOUBT = "doubt"
 """The channel of doubtful goals, and the key of their flags in `Goal.cache`."""
+
+
+BUT_ONE = "but one"
+"""The key in `Goal.cache` of the flags of `Goal.reached_but_for`."""
 
 
 class Goal(NamedTuple):
@@ -51,6 +57,18 @@ class Goal(NamedTuple):
         if not inside:
             return [slot.valid for slot in self.slots]
         return [slot.valid & slot_within_limits(self.arm, slot) for slot in self.slots]
+
+    def reached_but_for(self, joint: int) -> jax.Array:
+        """Whether a solution is within the limits of all other joints, bool (positions, orientations).
+
+        The flags of all joints are read from one number that is computed once.
+        """
+        if BUT_ONE not in self.cache:
+            rows = [[slot.valid & flag for flag in within_all_but_one(self.arm, slot)] for slot in self.slots]
+            flags = [functools.reduce(jnp.logical_or, column) for column in zip(*rows, strict=True)]
+            code = through_one_number(flags, self.slots[0].margin, self.shape, self.pin)
+            self.cache[BUT_ONE] = [(code >> k & 1) == 1 for k in range(len(flags))]
+        return self.cache[BUT_ONE][joint]
 
     def doubt(self) -> jax.Array:
         """Whether another rounding may give other flags, bool (positions, orientations)."""

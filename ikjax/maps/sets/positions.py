@@ -72,6 +72,19 @@ class Grid:
         """
         return float(chosen.sum() * self.spacing**3)
 
+    @property
+    def dimension(self) -> int:
+        """Axes with more than one position: 3 of a box, 2 of a layer, 1 of a line, 0 of one position."""
+        return sum(side > 1 for side in self.shape)
+
+    def size(self, chosen: np.ndarray) -> float:
+        """How much chosen positions are, in the unit of the dimension [m^3, m^2, m, or a number].
+
+        Args:
+            chosen: bool, of the grid's shape.
+        """
+        return float(chosen.sum() * self.spacing**self.dimension)
+
     def in_words(self) -> str:
         """The set in a few words for people."""
         return f"{self.count:,} positions ({self.spacing * 1000:g} mm apart)"

@@ -162,15 +162,64 @@ def fingerprint(spec: dict) -> str:
 
 
 def differences(there: dict, here: dict) -> list[str]:
-    """Where two specs differ, each as "positions.spacing: 0.1 there, 0.2 here", sorted by key."""
+    """Where two specs differ, each as "positions.spacing: 0.1 there, 0.2 here", sorted by key.
+
+    What people say comes first; hashes, which say only that something differs, come last and without digits.
+    """
+    rows = _differences(there, here, "")
+    return [row for _, row in sorted(rows, key=lambda pair: pair[0])]
+
+
+def _differences(there: dict, here: dict, before: str) -> list[tuple[tuple[bool, str], str]]:
+    """The differences below a key, each with what they are sorted by."""
     rows = []
-    for key in sorted(there.keys() | here.keys()):
+    for key in there.keys() | here.keys():
+        name = f"{before}{line(key)}"
         a, b = there.get(key), here.get(key)
         if isinstance(a, dict) and isinstance(b, dict):
-            rows += [f"{line(key)}.{row}" for row in differences(a, b)]
+            rows += _differences(a, b, f"{name}.")
         elif a != b:
-            rows.append(f"{line(key)}: {_short(a)} there, {_short(b)} here")
+            hashed = key == "sha256"
+            words = "other numbers" if hashed else _in_words(key, a, b)
+            rows.append(((hashed, name), f"{name.removesuffix('.sha256')}: {words}"))
     return rows
+
+
+def _in_words(key: str, there, here) -> str:
+    """Two values of a key that differ."""
+    if key in ("base", "tool") and _is_table(there, 4, 4) and _is_table(here, 4, 4):
+        return f"{_pose_in_words(there)} there, {_pose_in_words(here)} here"
+    same_length = isinstance(there, list) and isinstance(here, list) and len(there) == len(here)
+    if same_length and len(there) > 3:
+        pairs = [(k, a, b) for k, (a, b) in enumerate(zip(there, here, strict=True), 1) if a != b]
+        if len(pairs) <= 3:
+            return "; ".join(f"{_short(a)} there, {_short(b)} here (entry {k})" for k, a, b in pairs)
+    return f"{_short(there)} there, {_short(here)} here"
+
+
+def _is_table(value, rows: int, columns: int) -> bool:
+    try:
+        return np.asarray(value, float).shape == (rows, columns)
+    except (TypeError, ValueError):
+        return False
+
+
+def _pose_in_words(matrix) -> str:
+    """Position [m], and roll, pitch and yaw [deg] of a pose, where it turns."""
+    T = np.asarray(matrix, float)
+    rpy = np.degrees(
+        [
+            math.atan2(T[2, 1], T[2, 2]),
+            math.atan2(-T[2, 0], math.hypot(T[2, 1], T[2, 2])),
+            math.atan2(T[1, 0], T[0, 0]),
+        ]
+    )
+
+    def numbers(values, digits: int) -> str:
+        return ", ".join(f"{round(float(x), digits) + 0.0:g}" for x in values)
+
+    turned = f" turned by rpy ({numbers(rpy, 3)}) deg" if np.abs(rpy).max() > 5e-4 else ""
+    return f"({numbers(T[:3, 3], 6)}) m{turned}"
 
 
 def _short(value) -> str:
@@ -255,6 +304,8 @@ class Head(NamedTuple):
     """"clearing" (an earlier map is being removed), "sweeping" or "complete"."""
     seconds: float
     """Duration of the sweep; 0 until it is complete."""
+    title: str = ""
+    """What tells the map from others; in no spec, and not written where it is empty."""
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -332,6 +383,8 @@ def group_document(head: Head) -> bytes:
         "spec": head.spec,
         "arm": head.arm,
     }
+    if head.title:
+        attributes["title"] = head.title
     attributes["checksum"] = hashlib.sha256(canonical_json(attributes).encode()).hexdigest()
     return _document({"zarr_format": 3, "node_type": "group", "attributes": attributes})
 
@@ -340,7 +393,10 @@ def read_group(document: bytes | None) -> Head | None:
     """What a group's document says; None if it is missing, of another schema, or not as it was written."""
     try:
         stored = json.loads(document or b"")["attributes"]
-        head = Head(stored["spec"], stored["arm"], tuple(stored["chunk"]), stored["state"], stored["seconds"])
+        head = Head(
+            *(stored["spec"], stored["arm"], tuple(stored["chunk"]), stored["state"], stored["seconds"]),
+            stored.get("title", ""),
+        )
         return head if group_document(head) == document else None
     except (ValueError, KeyError, TypeError, RecursionError):
         return None

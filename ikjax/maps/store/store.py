@@ -212,12 +212,12 @@ def _resumable(
     if stored.spec != head.spec:
         rows = manifest.differences(stored.spec, head.spec)
         return None, (
-            f"{storage} holds a map with fingerprint {manifest.fingerprint(stored.spec)}, this sweep's is "
-            f"{manifest.fingerprint(head.spec)}: {'; '.join(rows)}"
+            f"{storage} holds a map of another study: {'; '.join(rows)} (fingerprints "
+            f"{manifest.fingerprint(stored.spec)} and {manifest.fingerprint(head.spec)})"
         )
     if chunk_given and stored.chunk != head.chunk:
         return None, f"{storage} has chunk {stored.chunk}, got chunk {head.chunk}"
-    return stored, ""
+    return stored._replace(title=head.title), ""
 
 
 def _new_store(storage: Storage, head: Head, fixed: NamedArrays) -> Store:
