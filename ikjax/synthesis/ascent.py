@@ -19,9 +19,15 @@ import optax
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import reach
 from ikjax.ik.margins import limited_margins, smooth_max, smooth_min
-from ikjax.ik.redundancy import joined_alternatives, solve_alternatives, solve_at_samples, turned_goals
+from ikjax.ik.redundancy import (
+    joined_alternatives,
+    pose_product,
+    solve_alternatives,
+    solve_at_samples,
+    turned_goals,
+)
 from ikjax.synthesis.allowed import Allowed
-from ikjax.synthesis.parameters import TWIST, Parameters, moved_by_twist, pose_inverse, pose_product
+from ikjax.synthesis.parameters import TWIST, Parameters, moved_by_twist, pose_inverse
 
 Objective = Callable[[Arm, Any, Any], jax.Array]
 Constraint = Callable[[Arm], jax.Array]

@@ -25,6 +25,7 @@ from ikjax.arm.recognition.free_parameters import COLUMNS
 from ikjax.core import pose as poses
 from ikjax.core import safe
 from ikjax.core.linear import solve_symmetric
+from ikjax.ik.redundancy import pose_product
 
 TWIST = ("x", "y", "z", "rx", "ry", "rz")
 NEWTON_STEPS = 40
@@ -177,11 +178,6 @@ def moved_by_twist(mount: jax.Array, twist: Sequence[jax.Array]) -> jax.Array:
 
 def _given(arm: Arm, mount: str, like: jax.Array) -> jax.Array:
     return jnp.asarray(getattr(arm, mount), like.dtype)
-
-
-def pose_product(first: jax.Array, second: jax.Array) -> jax.Array:
-    """Product of poses (..., 4, 4), written out: some devices round a matrix product coarsely."""
-    return poses.to_matrix(poses.compose(poses.from_matrix(first), poses.from_matrix(second)))
 
 
 def pose_inverse(pose: jax.Array) -> jax.Array:
