@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import mpmath
 import numpy as np
 import pytest
+from root_counts import LOWEST_FIRST
 
 from ikjax.core import circle_roots
 from ikjax.core.circle_roots import Series
@@ -56,7 +57,8 @@ def exact_roots(cos, sin) -> list[float]:
     upper = [mp.mpc(a, -b) / 2 for a, b in zip(cos[1:], sin[1:], strict=True)]
     c = [*map(mp.conj, upper[::-1]), mp.mpf(cos[0]), *upper]
     start = [mp.mpc(complex(x)) for x in np.roots([complex(x) for x in c[::-1]])]
-    found = mp.polyroots(c, asc=True, maxsteps=60, extraprec=150, roots_init=start)
+    ordered = c if LOWEST_FIRST else c[::-1]
+    found = mp.polyroots(ordered, **LOWEST_FIRST, maxsteps=60, extraprec=150, roots_init=start)
     assert len(found) == 2 * m
     return sorted(float(mp.arg(z)) for z in found if abs(abs(z) - 1) < mp.mpf(10) ** -35)
 

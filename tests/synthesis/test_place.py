@@ -182,7 +182,7 @@ def test_a_map_that_does_not_serve_is_refused_by_name(scara):
 @pytest.mark.parametrize(
     "change, message",
     [
-        ({"goals": ring() * np.nan}, r"goals\[0\] \(and 23 more\) must hold finite"),
+        ({"goals": ring() * np.nan}, r"goals\[0\] \(and 23 more: .*\) must hold finite"),
         ({"goals": np.zeros((0, 4, 4))}, r"at least one pose, got shape \(0, 4, 4\)"),
         ({"goals": np.zeros(3)}, r"shape \(..., 4, 4\)"),
         ({"move": ()}, "move must be some of x, y, z, turn, tilt, got none"),
