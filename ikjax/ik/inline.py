@@ -162,6 +162,12 @@ def is_small(arm: Arm) -> bool:
 
 
 @once_for_each_arm
+def in_type(arm: Arm, dtype) -> Arm:
+    """The arm in the type of its goals, with constants for leaves where they are not traced."""
+    return arm.baked().astype(dtype)
+
+
+@once_for_each_arm
 def parts(arm: Arm) -> tuple[tuple, list[jax.Array]]:
     """The parts of `Arm.split` of an arm of constants, the second one where the computation is."""
     known, rest = arm.split()

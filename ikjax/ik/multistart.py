@@ -33,7 +33,7 @@ from ikjax.core.xla import (
     to_rows,
 )
 from ikjax.ik import batched, lexicographic, newton
-from ikjax.ik.inline import Entries, entries_of
+from ikjax.ik.inline import Entries, entries_of, in_type
 from ikjax.ik.newton import Joints
 from ikjax.ik.project_gradient import with_derivatives
 from ikjax.ik.results import Projection
@@ -70,7 +70,7 @@ def checked_arguments(arm: Arm, goals, characteristic_length, steps: int) -> tup
         raise ValueError(
             f"characteristic_length must be a positive number of metres, got {characteristic_length}"
         )
-    return goals, arm.baked().astype(goals.dtype)
+    return goals, in_type(arm, goals.dtype)
 
 
 # The starts.

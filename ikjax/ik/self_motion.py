@@ -21,7 +21,7 @@ from ikjax.arm.forward import reach, whole_turns
 from ikjax.core.tolerances import TINY
 from ikjax.core.warn import MOST_TURNS, warn_of_degrees
 from ikjax.core.xla import as_array, divider, in_blocks, pinning, stop_gradient
-from ikjax.ik.inline import entries_of, jit_with_arm, slots_of
+from ikjax.ik.inline import entries_of, in_type, jit_with_arm, slots_of
 from ikjax.ik.quality import joint_clearances, limit_clearance
 from ikjax.ik.redundancy import with_ends
 from ikjax.ik.results import Solutions
@@ -196,7 +196,7 @@ def _checked(arm: Arm, goals: ArrayLike, samples: int) -> tuple[jax.Array, Arm]:
     if not isinstance(samples, int | np.integer) or samples < 3:
         raise ValueError(f"samples must be a whole number, 3 or more, got {samples!r}")
     goals = as_goals(goals)
-    return goals, arm.baked().astype(goals.dtype)
+    return goals, in_type(arm, goals.dtype)
 
 
 def _clearance(arm: Arm, sol: Solutions) -> jax.Array:

@@ -21,7 +21,7 @@ from ikjax.core import pose as poses
 from ikjax.core.warn import MOST_TURNS, warn_of_degrees
 from ikjax.core.xla import as_array, divider, is_traced, not_folded, stop_gradient
 from ikjax.ik import batched
-from ikjax.ik.inline import solve_inline
+from ikjax.ik.inline import in_type, solve_inline
 from ikjax.ik.refusal import refusal
 from ikjax.ik.results import Origin, Solutions
 from ikjax.ik.solve_gradient import DerivativeRule
@@ -91,7 +91,7 @@ def solve(
 @once_for_each_arm
 def _in_type(arm: Arm, dtype) -> Arm:
     """The arm that is solved for goals of a type, with constants for leaves where they are not traced."""
-    return as_solved(arm.baked().astype(dtype))
+    return as_solved(in_type(arm, dtype))
 
 
 def _as_fallback(arm: Arm, goals: jax.Array, q_now: ArrayLike) -> jax.Array:
