@@ -66,7 +66,7 @@ def refine(
     Returns:
         `Projection`, fields (...). Its `cost` is the weighted one whatever the priority, and the value of
         `loss` with one. Of several starts it is the best; of those that are equal to rounding, as branches in
-        one pose are, the first. Inside jit every start takes all `steps`.
+        one pose are, the first. Inside jit the loop ends with the last start of the batch.
 
         `q`, `cost` and the errors have gradients in the goals and the arm's leaves, by the implicit function
         theorem at the minimum; joints at an active bound do not move. Those of `q` are zero where it is not
