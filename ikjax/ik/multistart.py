@@ -5,9 +5,9 @@ to: further starts have a joint at a limit (`branches_and_limits`) or are spread
 (`scattered_starts`). Each start takes Newton steps (`ik.newton`), in stages where one error comes first
 (`ik.lexicographic`).
 
-`descend_all` is what `project` and `refine` call. Inside a jit all starts are in one program, whose
-loop ends with the last of them.
-Called eagerly, all starts take a few steps, and only those that have not converged take more, in rounds.
+`descend_all` is what `project` and `refine` call. Inside a jit all starts are in one program, whose loop ends
+with the last of them. Called eagerly, all starts take a few steps, and only those that have not converged
+take more, in rounds.
 """
 
 import dataclasses
