@@ -107,7 +107,10 @@ def divider(like: jax.Array) -> Pin:
 
 
 SMALL_BATCH = 512
-"""Numbers of a batch up to which values are pinned together."""
+"""Numbers of a batch up to which `pin_all` pins values together; a choice, between 64 goals and a block."""
+
+MOST_TOGETHER = 8
+"""Values that are pinned as one array: XLA fuses no longer concatenation with what it is made of."""
 
 
 class _DividerOnce:
@@ -127,8 +130,8 @@ class _DividerOnce:
             groups.setdefault((jnp.shape(x), x.dtype) if self._few else id(x), []).append(x)
         pinned = {}
         for group in groups.values():
-            for start in range(0, len(group), 8):
-                part = group[start : start + 8]
+            for start in range(0, len(group), MOST_TOGETHER):
+                part = group[start : start + MOST_TOGETHER]
                 together = [self._divide(part[0])] if len(part) == 1 else list(self._divide(jnp.stack(part)))
                 pinned.update({id(x): y for x, y in zip(part, together, strict=True)})
         self._done.update({id(y): y for y in pinned.values()})
@@ -141,7 +144,14 @@ def divider_once(like: jax.Array) -> Pin:
 
 
 def pin_all(tree: Tree) -> Tree:
-    """Values, each computed once by the policy of the `pinning` around the caller, if there is any."""
+    """Values, each computed once by the policy of the `pinning` around the caller, if there is any.
+
+    Symptom: each pinned value is a loop, and in a program of few goals a loop costs more to compile than to
+    run. There `divider_once` pins values of one shape together. In a block they stay apart, because a
+    concatenation is not vectorized. Seen with: jax 0.10.2, CPU. Figures: the descents of `project`, SO-101,
+    268 loops with each value and each joint apart, 154 with both together. Test: `make guard` (`project` of
+    one goal); it may go with `divider`.
+    """
     policy = _pin.get()
     leaves, structure = jax.tree.flatten(tree)
     leaves = policy.all(leaves) if isinstance(policy, _DividerOnce) else [pin(x) for x in leaves]
@@ -377,12 +387,11 @@ def wide_vectors() -> dict[str, str]:
 def quick_to_compile() -> dict[str, str | int | bool]:
     """Options for programs of few goals, whose first call is compiling and little else.
 
-    Symptom: XLA spends some 25 ms on each fused loop, and a program of one goal has hundreds. Most of it is
-    LLVM's optimization of long vectors, which few goals do not have, and the emitters in MLIR; the older
-    emitters are faster. Seen with: jax 0.10.2 and 0.12.0, CPU. Figures: the descents of `project`, SO-101, 40
+    Symptom: XLA spends some 25 ms of processor time on each fused loop, and a program of one goal has
+    hundreds. Most of it is LLVM's and the emitters' in MLIR; the older emitters are faster. Seen with: jax 0.10.2 and 0.12.0, CPU. Figures: the descents of `project`, SO-101, 40
     starts, on an EPYC without AVX-512: processor time of compiling 6.1 s before, 2.1 s after, a call 1.2 ms
     before, 1.8 ms after; jax 0.12.0, where only the level is there, 5.9 and 2.0 s, 0.9 and 1.2 ms.
-    Test: `make guard` (compile seconds of `project`); it may go when XLA compiles short programs quickly.
+    No test measures it. It may go when XLA compiles short programs quickly.
     """
     if jax.default_backend() != "cpu":
         return {}
@@ -392,7 +401,7 @@ def quick_to_compile() -> dict[str, str | int | bool]:
 
 @functools.cache
 def _has_older_emitters() -> bool:
-    """Whether XLA has an option for them; it ends with jax 0.11 or 0.12."""
+    """Whether XLA has an option for them: with jax 0.10.2 it has, with 0.12.0 no more."""
     try:
         jax.jit(lambda: 0, compiler_options={"xla_cpu_use_fusion_emitters": False}).lower().compile()
     except RuntimeError:

@@ -2,7 +2,7 @@
 
 For one start of one goal; every number may be an array of any batch shape. What there is of each joint is one
 array with the joints as its first axis: a program of one scalar for each joint, and for each pair of joints,
-compiles twice as long.
+is longer and compiles longer.
 
 Lengths are divided by the arm's reach. Let d be the vector from the goal's point to the tool point, and w the
 rotation vector from the goal's orientation to the tool's (its length is the angle). The cost is
