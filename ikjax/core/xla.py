@@ -388,10 +388,12 @@ def quick_to_compile() -> dict[str, str | int | bool]:
     """Options for programs of few goals, whose first call is compiling and little else.
 
     Symptom: XLA spends some 25 ms of processor time on each fused loop, and a program of one goal has
-    hundreds. Most of it is LLVM's and the emitters' in MLIR; the older emitters are faster. Seen with: jax 0.10.2 and 0.12.0, CPU. Figures: the descents of `project`, SO-101, 40
-    starts, on an EPYC without AVX-512: processor time of compiling 6.1 s before, 2.1 s after, a call 1.2 ms
-    before, 1.8 ms after; jax 0.12.0, where only the level is there, 5.9 and 2.0 s, 0.9 and 1.2 ms.
-    No test measures it. It may go when XLA compiles short programs quickly.
+    hundreds. Most of it is LLVM's and the emitters' in MLIR; the older emitters are faster.
+    Seen with: jax 0.10.2 and 0.12.0, CPU. Figures: the descents of `project`, SO-101, 40 starts, on an EPYC
+    without AVX-512: processor time of compiling 6.1 s before, 2.1 s after, a call 1.2 ms before, 1.8 ms
+    after; jax 0.12.0, where only the level is there, 5.9 and 2.0 s, 0.9 and 1.2 ms.
+    Test: `make guard` (compile so101: project of one goal); it may go when XLA compiles short programs
+    quickly.
     """
     if jax.default_backend() != "cpu":
         return {}
