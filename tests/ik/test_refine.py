@@ -350,15 +350,3 @@ def test_a_start_outside_the_limits_takes_as_few_turns_as_will_do():
     inside = np.stack(newton.into_limits(arm, q, near))
     wanted = [7 - 2 * turn, 2.0, 15 - 5 * turn, 1 + 8 * turn, 0.5]
     np.testing.assert_allclose(inside, wanted, rtol=1e-14)
-
-
-def test_where_a_start_ends_in_a_jit_does_not_depend_on_its_neighbors():
-    refine = jax.jit(lambda goals, q0: ikjax.refine(ARM, goals, q0, LENGTH))
-    q0 = np.random.default_rng(7).uniform(-1, 1, (4, 5))
-    # Three that are where they end, beside one that has far to go, and beside one that is there too.
-    there = np.array(ikjax.fk(ARM, q0))
-    far = np.concatenate([there[:3], wild(ARM, 1, seed=8)])
-    beside_far, beside_near = refine(far, q0), refine(there, q0)
-    for name in ("q", "cost", "gradient_norm"):
-        np.testing.assert_array_equal(getattr(beside_far, name)[:3], getattr(beside_near, name)[:3])
-    assert not np.array_equal(beside_far.q[3], beside_near.q[3])
