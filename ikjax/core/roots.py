@@ -38,6 +38,7 @@ def cosine_sine(
     c: Scalar,
     side: Scalar,
     noise: Scalar = 0.0,
+    margin: Scalar | None = None,
 ) -> CosineSine:
     """Solve a cos(t) + b sin(t) = c for the sine and cosine of t, with nothing infinite at t = pi.
 
@@ -46,6 +47,7 @@ def cosine_sine(
         side: +1 or -1: the sign of b cos(t) - a sin(t), which tells the two roots apart.
         noise: What rounding may have taken from hypot(a, b). It is added back near a double root, so
             that the true root lies between the two that are returned.
+        margin: hypot(a, b) - |c|, where the caller knows it to more digits.
 
     Returns:
         The root, clamped to the nearest angle where there is none.
@@ -54,7 +56,10 @@ def cosine_sine(
     the tangent of the half angle.
     """
     size_squared = a * a + b * b
-    height_squared = size_squared - c * c
+    if margin is None:
+        height_squared, margin = size_squared - c * c, safe.sqrt(size_squared) - abs(c)
+    else:
+        height_squared = margin * (safe.sqrt(size_squared) + abs(c))
     if not (isinstance(noise, float) and noise == 0):
         # The error of size^2 where that of the size is `noise`, and the size is about |c|.
         lost = 2 * noise * abs(c)
@@ -66,7 +71,7 @@ def cosine_sine(
         (b * c - a * height) * weight,
         (a * c + b * height) * weight,
         height,
-        safe.sqrt(size_squared) - abs(c),
+        margin,
         weight == 0,
     )
 

@@ -364,6 +364,11 @@ def test_an_arm_with_parallel_axes_and_no_offsets_is_answered(family):
 RIGHT_ANGLES = {
     "stretched beside axis 1": ([0, 0.3, 0.3, 0, 0, 0], [90, -90, 30, -90, -90, 0], [0.4, 0, 0, 0, 0, 0.1]),
     "slanted": ([0, 0.3, 0.3, 0, 0, 0], [30, 30, 180, 90, -90, 90], [0, 0, 0, 0, 0, 0.1]),
+    "axis 4 along axis 1": (
+        [0.1, 0.3, 0.2, 0.4, 0.3, 0.1],
+        [90, -90, 90, 0, 0, 90],
+        [0.2, 0.1, 0.15, 0.1, 0, 0.1],
+    ),
     "4, 5, 6 parallel": ([0, 0.3, 0, 0.4, 0.3, 0.1], [30, -90, 90, 0, 0, 90], [0.2, 0, 0.15, 0.1, 0, 0.1]),
 }
 
@@ -378,3 +383,30 @@ def test_special_arms_at_right_angles_are_answered(name):
     sol = ikjax.solve(arm, goals)
     assert np.asarray(sol.valid).any(-1).all()
     assert not _wrong(arm, sol, goals, np.float64).any()
+
+
+BESIDE_AXIS_2 = {
+    "axes 1 and 2 parallel": ([0.25, 0.3, 0.2, 0.4, 0.3, 0.1], [0, 90, 90, 0, 0, 30]),
+    "no special relation": ([0.1, 0.3, 0.2, 0.4, 0.3, 0.1], [90, -90, 90, 0, 0, 90]),
+}
+
+
+@pytest.mark.parametrize("name", BESIDE_AXIS_2)
+def test_three_parallel_axes_nearly_along_the_joint_before_them_are_answered(name):
+    """There the angle between them by its cosine has lost half its digits, and its derivatives are zero."""
+    a, alpha = BESIDE_AXIS_2[name]
+    arm = ikjax.Arm.from_dh(
+        a=a, alpha=np.deg2rad(alpha), d=[0.2, 0.1, 0.15, 0.1, 0, 0.1], convention="standard"
+    )
+    assert arm.family == "parallel_axes"
+    rng = np.random.default_rng(0)
+    step = np.repeat(10.0 ** np.arange(-11.0, 0), 372)
+    q = rng.uniform(-np.pi, np.pi, (len(step), 6))
+    q[:, 2] = np.pi * rng.integers(0, 2, len(step)) + step
+    sol = ikjax.solve(arm, ikjax.fk(arm, q))
+    valid = np.asarray(sol.valid)
+    # Joint 2 is known to rounding over the step. Where the arm is stretched as far as that, a fold may hide.
+    assert (~valid.any(-1)).sum() <= 2
+    off = np.abs((np.asarray(sol.q) - q[:, None] + np.pi) % (2 * np.pi) - np.pi).max(-1)
+    found = (valid & (off < 1e-3)).any(-1)
+    assert found[step >= 1e-7].all()

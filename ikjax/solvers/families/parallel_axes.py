@@ -68,6 +68,9 @@ class Pair(NamedTuple):
     margin: Scalar
     free: Scalar = False
     """Whether one of them is arbitrary."""
+    rise: Scalar = 1
+    """The sign of the derivative of the first equation where A and B move so that the second holds, A by less
+    than zero times that of the second by B."""
 
 
 def branches(
@@ -157,19 +160,49 @@ def _last(b_alone: bool, axes, tip: Pose, goal: Pose, split: PairSplit, along, s
     base = Side(_about(two, one), facing, vector.subtract(point, one.point))
     arm = Side(_about(two, three), h, vector.subtract(four.point, three.point))
     answers = []
-    equations, joints = (first, second), (0, 2)
     if b_alone:
-        equations, joints = (_exchanged(first), _exchanged(second)), joints[::-1]
-    for pair in _pairs(equations, split, joints, setting):
-        if b_alone:
-            pair = pair._replace(first=pair.second, second=pair.first)
-        a, b, c, free = _settled(pair, base, arm, two, 1, second, _ring(axes[3:]), 1, setting)
+        pairs = _b_before_a(first, second, axes, facing, split, setting)
+    else:
+        pairs = _pairs((first, second), split, (0, 2), setting)
+    for pair in pairs:
+        a, b, c, free = _settled(pair, base, arm, two, 1, second, _ring(axes[3:]), 1, setting, (one, link))
         rest = pose_turned(two, -c.sin, c.cos, pose_turned(one, -a.sin, a.cos, goal))
         rest = pose_turned(three, -b.sin, b.cos, rest)
         for way in _planar(axes[3:], tip, rest, along, setting, 3):
             joints = (a, c, b, *way.joints)
             answers.append((joints, jnp.minimum(pair.margin, way.margin), pair.free | free | way.continuum))
     return answers
+
+
+def _b_before_a(
+    first: Equation, second: Equation, axes, facing: Vector, split: PairSplit, setting: Setting
+) -> list[Pair]:
+    """The four pairs where axes 1 and 2 meet or are parallel."""
+    one, two, three, four, *_ = axes
+    equations = _exchanged(first), _exchanged(second)
+    alone, with_a = _separated(*equations)
+    # Parallel axes 1 and 2: the first equation has B alone, and their angle to the goal's direction h is that
+    # to the arm's, as joint 3 leaves it. Near 0 or 180 degrees its cosine has lost half the digits; its sine
+    # has them.
+    across = vector.cross(one.along, two.along)
+    parallel = vector.dot(across, across) <= setting.zero_tolerance**2
+    cosine = vector.dot(facing, two.along)
+    to_goal = safe.divide(_across_squared(two.along, facing), 1 + abs(cosine))
+    sines = [safe.sqrt(_across_squared(three.along, v)) for v in (two.along, four.along)]
+    cosines = [vector.dot(three.along, v) for v in (two.along, four.along)]
+    same = sines[0] * cosines[1] - jnp.where(cosine < 0, -1, 1) * sines[1] * cosines[0]
+    to_arm = safe.divide(same * same, 1 + safe.sqrt(1 - same * same))
+    alone, with_a = (
+        Equation(*(jnp.where(parallel, x, y) for x, y in zip(known, found, strict=True)))
+        for known, found in zip(equations, (alone, with_a), strict=True)
+    )
+    margin = parallel & ((cosine > 0) == (alone.e < 0)), to_goal - to_arm
+    pairs = _split_pairs(equations, alone, with_a, split, (2, 0), setting, margin)
+    return [pair._replace(first=pair.second, second=pair.first, rise=-pair.rise) for pair in pairs]
+
+
+def _size(x: Scalar, y: Scalar) -> Scalar:
+    return safe.sqrt(x * x + y * y)
 
 
 def _exchanged(equation: Equation) -> Equation:
@@ -248,6 +281,7 @@ def _settled(
     span: tuple[Scalar, Scalar],
     joint: int,
     setting: Setting,
+    reach: tuple[Axis, Vector] | None = None,
 ) -> tuple[Angle, Angle, Angle, jax.Array]:
     """Joint C, and A and B after a step of damped least squares.
 
@@ -265,54 +299,127 @@ def _settled(
         span: Least and greatest distance of the points of `base` and `hand`.
         joint: The number of C among the joints, from 0.
         setting: Fallback and tolerances.
+        reach: Where joint A can be arbitrary too: its axis, and the point of axis C seen from a point of it.
 
     Returns:
-        The three joints, and whether C is arbitrary.
+        The three joints, and whether one of them is arbitrary.
     """
     a, b = pair.first, pair.second
     for _ in range(DIRECTION_STEPS):
-        wanted, by_a, _ = base.turned(a, -sense)
-        given, by_b, _ = hand.turned(b, sense)
-        c, _ = _turn_to(axis, given, wanted, joint, sense, setting)
-        turn = functools.partial(turned, axis.along, sense * c.sin, c.cos)
-        columns = (
-            (*vector.scale(-1, by_a), height.b * a.cos - height.a * a.sin),
-            (*turn(by_b), height.d * b.cos - height.c * b.sin),
-        )
-        rest = height.e - height.a * a.cos - height.b * a.sin - height.c * b.cos - height.d * b.sin
-        gap = (*vector.subtract(wanted, turn(given)), rest)
-        steps = damped_steps(columns, gap, setting.zero_tolerance / 4)
-        small = functools.reduce(jnp.maximum, map(abs, steps)) < setting.rounding**0.25
+        ends = base.turned(a, -sense), hand.turned(b, sense)
+        steps = _damped_step(ends, axis, sense, (a, b), height, joint, setting)
+        near = _step_along_height(a, b, base, hand, axis, sense, height, pair.rise)
+        beside = _across_squared(axis.along, ends[0][0]) < NEAR_C**2
+        moves = tuple(jnp.where(beside, x, y) for x, y in zip(near, steps, strict=True))
+        most = jnp.where(beside, NEAR_C, setting.rounding**0.25)
+        small = functools.reduce(jnp.maximum, map(abs, moves)) < most
         a, b = (
-            setting.angle(*add_small_angle(x.sin, x.cos, pin(jnp.where(small, step, 0))))
-            for x, step in zip((a, b), steps, strict=True)
+            setting.angle(*add_small_angle(x.sin, x.cos, pin(jnp.where(small, move, 0))))
+            for x, move in zip((a, b), moves, strict=True)
         )
-    wanted, _, target = base.turned(a, -sense)
     given, _, start = hand.turned(b, sense)
+    wanted, _, target = base.turned(a, -sense)
     c, free = _turn_to(axis, given, wanted, joint, sense, setting)
-    filled = _closing(axis, sense, start, target, span, setting.fallback[joint])
-    c = setting.angle(jnp.where(free, filled[0], c.sin), jnp.where(free, filled[1], c.cos))
+    # So near the axis a joint is rounding: it goes where the parallel joints reach, and the direction stays
+    # within what `valid` can see.
+    near = setting.rounding**1.4
+    loose = free | (_across_squared(axis.along, wanted) < near)
+    if reach is not None:
+        # Where the direction is along axis A, it is the same at any turn of A.
+        one, link = reach
+        along_a = _across_squared(one.along, base.direction)
+        end = vector.add(link, turned(axis.along, sense * c.sin, c.cos, start))
+        end = tuple(jnp.where(loose, x, y) for x, y in zip(link, end, strict=True))
+        more = jnp.where(loose, safe.sqrt(_across_squared(axis.along, start)), 0)
+        wide = jnp.maximum(jnp.maximum(span[0] - more, more - span[1]), 0), span[1] + more
+        filled = _closing(one, sense, end, base.point, wide, a)
+        a = setting.angle(*(jnp.where(along_a < near, x, y) for x, y in zip(filled, a[:2], strict=True)))
+        free |= along_a <= setting.zero_tolerance**2
+        _, _, target = base.turned(a, -sense)
+    filled = _closing(axis, sense, start, target, span, c)
+    c = setting.angle(*(jnp.where(loose, x, y) for x, y in zip(filled, c[:2], strict=True)))
     return a, b, c, free
+
+
+NEAR_C = 0.03
+"""[rad] So near axis C the step is along the height. The other one takes joint C as it is; it is better where
+two folds meet, and the line of equal height has no direction. A choice: both are good from 1e-6 to 0.1."""
+
+
+def _damped_step(ends, axis: Axis, sense: int, joints, height: Equation, joint: int, setting: Setting):
+    """A step of A and B on the direction itself, as C turns it now."""
+    (wanted, by_a, _), (given, by_b, _) = ends
+    a, b = joints
+    c, _ = _turn_to(axis, given, wanted, joint, sense, setting)
+    turn = functools.partial(turned, axis.along, sense * c.sin, c.cos)
+    columns = (
+        (*vector.scale(-1, by_a), height.b * a.cos - height.a * a.sin),
+        (*turn(by_b), height.d * b.cos - height.c * b.sin),
+    )
+    rest = height.e - height.a * a.cos - height.b * a.sin - height.c * b.cos - height.d * b.sin
+    gap = (*vector.subtract(wanted, turn(given)), rest)
+    return damped_steps(columns, gap, setting.zero_tolerance / 4)
+
+
+def _step_along_height(
+    a: Angle, b: Angle, base: Side, hand: Side, axis: Axis, sense: int, height: Equation, rise: Scalar
+) -> tuple[Scalar, Scalar]:
+    """A step of A and B to the root of the osculating quadratic along the line of equal height.
+
+    The first equation, of the angles of two directions to axis C, by their sines where they are small: there
+    their cosines have lost half the digits, and both derivatives of the equation are zero too.
+
+    Args:
+        rise: Which of the two roots: the sign of the derivative of the first equation along the line.
+    """
+    wanted, by_a, _ = base.turned(a, -sense)
+    given, by_b, _ = hand.turned(b, sense)
+    along = axis.along
+    cos_a, cos_b = vector.dot(along, wanted), vector.dot(along, given)
+    both = cos_a + cos_b
+    squares = _across_squared(along, given) - _across_squared(along, wanted)
+    gap = jnp.where(abs(both) > 1, safe.divide(squares, both), cos_a - cos_b)
+    by_a, by_b = vector.dot(along, by_a), -vector.dot(along, by_b)
+    # The second derivative of a turned vector is its part along the axis less itself.
+    twice_a = vector.dot(base.axis.along, along) * vector.dot(base.axis.along, wanted) - cos_a
+    twice_b = cos_b - vector.dot(hand.axis.along, along) * vector.dot(hand.axis.along, given)
+    rest = height.e - height.a * a.cos - height.b * a.sin - height.c * b.cos - height.d * b.sin
+    p, q = height.b * a.cos - height.a * a.sin, height.d * b.cos - height.c * b.sin
+    size = safe.reciprocal_sqrt(p * p + q * q)
+    p, q, rest = pin(p * size), pin(q * size), pin(rest * size)
+    p = jnp.where((p == 0) & (q == 0), 1, p)
+    start = gap + (by_a * p + by_b * q) * rest + (twice_a * p * p + twice_b * q * q) * rest * rest / 2
+    rate = by_b * p - by_a * q + (twice_b - twice_a) * p * q * rest
+    twice = twice_a * q * q + twice_b * p * p
+    root = safe.sqrt(rate * rate - 2 * start * twice)
+    same = rate * rise >= 0
+    far = rise * root - rate
+    near = rise * root + rate
+    t = jnp.where(same, safe.divide(-2 * start, near), safe.divide(far, twice))
+    t = pin(t)
+    return p * rest - q * t, q * rest + p * t
 
 
 def _turn_to(axis: Axis, before: Vector, after: Vector, joint: int, sense: int, setting: Setting):
     """The joint that turns one direction to another about its axis, and whether it is arbitrary."""
-    cosine, sine, _ = component(after, axis.along, before)
-    free = _across_squared(axis.along, after) <= setting.zero_tolerance**2
+    # Their parts square to the axis first: near it, products of the directions themselves lose those.
+    x, y = vector.cross(axis.along, before), vector.cross(axis.along, after)
+    cosine, sine = pin(vector.dot(x, y)), pin(vector.dot(axis.along, vector.cross(x, y)))
+    free = vector.dot(y, y) <= setting.zero_tolerance**2
     weight = safe.reciprocal_sqrt(sine * sine + cosine * cosine)
     return setting.filled(joint, free | (weight == 0), sense * sine * weight, cosine * weight), free
 
 
-def _closing(axis: Axis, sense: int, start: Vector, target: Vector, span, fallback: Angle) -> SinCos:
-    """The turn nearest to the fallback that brings the start within the span of the target.
+def _closing(axis: Axis, sense: int, start: Vector, target: Vector, span, turn: Angle) -> SinCos:
+    """The turn nearest to one that brings the start within the span of the target.
 
     Both are seen along the axis: their distance squared is p^2 + q^2 - 2 p q cos(angle between them).
     """
     cosine, sine, _ = component(target, axis.along, start)
     size = safe.sqrt(cosine * cosine + sine * sine)
-    # The angle from the start at the fallback to the target, by its cosine and sine times `size`.
-    ahead = cosine * fallback.cos + sense * sine * fallback.sin
-    aside = sense * sine * fallback.cos - cosine * fallback.sin
+    # The angle from the start at this turn to the target, by its cosine and sine times `size`.
+    ahead = cosine * turn.cos + sense * sine * turn.sin
+    aside = sense * sine * turn.cos - cosine * turn.sin
     squares = sum(_across_squared(axis.along, v) for v in (start, target))
     low, high = span
     wanted = jnp.clip(ahead, (squares - high * high) / 2, (squares - low * low) / 2)
@@ -324,7 +431,7 @@ def _closing(axis: Axis, sense: int, start: Vector, target: Vector, span, fallba
     new_sin = (sense * sine * wanted - cosine * beside) * weight
     new_cos = (cosine * wanted + sense * sine * beside) * weight
     kept |= size == 0
-    return jnp.where(kept, fallback.sin, new_sin), jnp.where(kept, fallback.cos, new_cos)
+    return jnp.where(kept, turn.sin, new_sin), jnp.where(kept, turn.cos, new_cos)
 
 
 def _across_squared(along: Vector, v: Vector) -> Scalar:
@@ -336,7 +443,7 @@ def _pairs(equations: tuple[Equation, Equation], split: PairSplit, joints, setti
     """Joints A and B from their two equations: four pairs."""
     one, two = equations
     if split.is_split:
-        return _split_pairs(one, two, split, joints, setting)
+        return _split_pairs(equations, *_separated(one, two), split, joints, setting)
     determinant = one.c * two.d - one.d * two.c
     weight = safe.divide(1, determinant)
 
@@ -377,7 +484,8 @@ def _pairs(equations: tuple[Equation, Equation], split: PairSplit, joints, setti
             # A pair that came out as complex may be real but for rounding; then its roots are nearby.
             steps, largest, real = 4, jnp.where(root.real, 0.3, 4 * largest), True
         first, second = _polished(equations, start, turn, real, setting, steps, largest)
-        pairs.append(Pair(first, second, clearance(harmonics, four, root, length)))
+        ascent = rise * jnp.where(determinant < 0, -1, 1)
+        pairs.append(Pair(first, second, clearance(harmonics, four, root, length), rise=ascent))
     return pairs
 
 
@@ -455,25 +563,47 @@ STEPS = 8
 moves the joints by its square root."""
 
 
-def _split_pairs(one: Equation, two: Equation, split: PairSplit, joints, setting: Setting) -> list[Pair]:
-    """Joints A and B where B's coefficients are proportional: A from the combination without B, then B."""
-    alone, with_b = _separated(one, two)
+def _split_pairs(
+    equations: tuple[Equation, Equation],
+    alone: Equation,
+    with_b: Equation,
+    split: PairSplit,
+    joints,
+    setting: Setting,
+    margin: tuple[jax.Array, Scalar] | None = None,
+) -> list[Pair]:
+    """Joints A and B where B's coefficients are proportional: A from the combination without B, then B.
+
+    Args:
+        equations: The two.
+        alone, with_b: Their combinations.
+        split: How exactly B's coefficients are proportional.
+        joints: The numbers of A and B among the joints, from 0.
+        setting: Fallback and tolerances.
+        margin: Of `alone`, and whether it is known to more digits than its coefficients give.
+    """
     noise = setting.length_uncertainty
     if split != PairSplit.EXACTLY:
         # So that the true root lies between the two starts.
         noise = noise + abs(alone.c) + abs(alone.d)
+    known_margin, noise_alone = None, noise
+    if margin is not None:
+        is_known, known_margin = margin
+        known_margin = jnp.where(is_known, known_margin, _size(alone.a, alone.b) - abs(alone.e))
+        noise_alone = jnp.where(is_known, setting.correction_size, noise)
     pairs = []
     for side in (1, -1):
-        root = cosine_sine(alone.a, alone.b, alone.e, side, noise=noise)
+        root = cosine_sine(alone.a, alone.b, alone.e, side, noise=noise_alone, margin=known_margin)
         first = setting.filled(joints[0], root.free, root.sin, root.cos)
         rest = with_b.e - with_b.a * first.cos - with_b.b * first.sin
         for side_b in (1, -1):
             deep = cosine_sine(with_b.c, with_b.d, rest, side_b, noise=noise)
             second = setting.filled(joints[1], deep.free, deep.sin, deep.cos)
-            pair = Pair(first, second, jnp.minimum(root.margin, deep.margin), root.free | deep.free)
+            free = root.free | deep.free
+            pair = Pair(first, second, jnp.minimum(root.margin, deep.margin), free, side * side_b)
             if split != PairSplit.EXACTLY:
                 ends = (first.sin, first.cos), (second.sin, second.cos)
-                turns = _polished((one, two), *ends, ~pair.free, setting, STEPS, 0.3)
+                turns = _polished(equations, *ends, ~pair.free, setting, STEPS, 0.3)
                 pair = pair._replace(first=turns[0], second=turns[1])
             pairs.append(pair)
     return pairs
