@@ -306,9 +306,9 @@ def _settled(
     """
     a, b = pair.first, pair.second
     for _ in range(DIRECTION_STEPS):
-        ends = base.turned(a, -sense), hand.turned(b, sense)
+        ends = pin_all((base.turned(a, -sense)[:2], hand.turned(b, sense)[:2]))
         steps = _damped_step(ends, axis, sense, (a, b), height, joint, setting)
-        near = _step_along_height(a, b, base, hand, axis, sense, height, pair.rise)
+        near = _step_along_height(ends, (a, b), base.axis, hand.axis, axis, height, pair.rise)
         beside = _across_squared(axis.along, ends[0][0]) < NEAR_C**2
         moves = tuple(jnp.where(beside, x, y) for x, y in zip(near, steps, strict=True))
         most = jnp.where(beside, NEAR_C, setting.rounding**0.25)
@@ -348,7 +348,7 @@ two folds meet, and the line of equal height has no direction. A choice: both ar
 
 def _damped_step(ends, axis: Axis, sense: int, joints, height: Equation, joint: int, setting: Setting):
     """A step of A and B on the direction itself, as C turns it now."""
-    (wanted, by_a, _), (given, by_b, _) = ends
+    (wanted, by_a), (given, by_b) = ends
     a, b = joints
     c, _ = _turn_to(axis, given, wanted, joint, sense, setting)
     turn = functools.partial(turned, axis.along, sense * c.sin, c.cos)
@@ -362,7 +362,7 @@ def _damped_step(ends, axis: Axis, sense: int, joints, height: Equation, joint: 
 
 
 def _step_along_height(
-    a: Angle, b: Angle, base: Side, hand: Side, axis: Axis, sense: int, height: Equation, rise: Scalar
+    ends, joints, axis_a: Axis, axis_b: Axis, axis: Axis, height: Equation, rise: Scalar
 ) -> tuple[Scalar, Scalar]:
     """A step of A and B to the root of the osculating quadratic along the line of equal height.
 
@@ -372,8 +372,8 @@ def _step_along_height(
     Args:
         rise: Which of the two roots: the sign of the derivative of the first equation along the line.
     """
-    wanted, by_a, _ = base.turned(a, -sense)
-    given, by_b, _ = hand.turned(b, sense)
+    (wanted, by_a), (given, by_b) = ends
+    a, b = joints
     along = axis.along
     cos_a, cos_b = vector.dot(along, wanted), vector.dot(along, given)
     both = cos_a + cos_b
@@ -381,12 +381,13 @@ def _step_along_height(
     gap = jnp.where(abs(both) > 1, safe.divide(squares, both), cos_a - cos_b)
     by_a, by_b = vector.dot(along, by_a), -vector.dot(along, by_b)
     # The second derivative of a turned vector is its part along the axis less itself.
-    twice_a = vector.dot(base.axis.along, along) * vector.dot(base.axis.along, wanted) - cos_a
-    twice_b = cos_b - vector.dot(hand.axis.along, along) * vector.dot(hand.axis.along, given)
+    twice_a = vector.dot(axis_a.along, along) * vector.dot(axis_a.along, wanted) - cos_a
+    twice_b = cos_b - vector.dot(axis_b.along, along) * vector.dot(axis_b.along, given)
     rest = height.e - height.a * a.cos - height.b * a.sin - height.c * b.cos - height.d * b.sin
     p, q = height.b * a.cos - height.a * a.sin, height.d * b.cos - height.c * b.sin
     size = safe.reciprocal_sqrt(p * p + q * q)
-    p, q, rest = pin(p * size), pin(q * size), pin(rest * size)
+    p, q, rest = pin_all((p * size, q * size, rest * size))
+    gap, by_a, by_b, twice_a, twice_b = pin_all((gap, by_a, by_b, twice_a, twice_b))
     p = jnp.where((p == 0) & (q == 0), 1, p)
     start = gap + (by_a * p + by_b * q) * rest + (twice_a * p * p + twice_b * q * q) * rest * rest / 2
     rate = by_b * p - by_a * q + (twice_b - twice_a) * p * q * rest
