@@ -225,7 +225,8 @@ def _joint_values(arm: Arm, table: tuple[Link, ...], q: tuple[Scalar, ...] | jax
     return [Joint(sines[i : i + 1], cosines[i : i + 1], d) for i, d in enumerate(slides)]
 
 
-def _columns(q: jax.Array) -> tuple[jax.Array, ...]:
+def columns_of(q: jax.Array) -> tuple[jax.Array, ...]:
+    """One array (...) for each joint."""
     return tuple(q[..., i] for i in range(q.shape[-1]))
 
 
@@ -259,7 +260,7 @@ def fk(arm: Arm, q: ArrayInput) -> jax.Array:
     Source: Spong, Robot Modeling and Control, equation (3.10).
     """
     values, arm = check_joints(arm, q), arm.baked()
-    last = chain(arm, _columns(values)).last
+    last = chain(arm, columns_of(values)).last
     return poses.to_matrix(poses.compose(last, fixed_pose(arm.tool)))
 
 
@@ -281,7 +282,7 @@ def frames(arm: Arm, q: ArrayInput) -> jax.Array:
     """
     values, arm = check_joints(arm, q), arm.baked()
     zero = jnp.zeros_like(values[..., 0])
-    placed = chain(arm, _columns(values))
+    placed = chain(arm, columns_of(values))
     # The base is one frame for all of q: the zeros give every scalar the shape of a joint.
     spread = [jax.tree.map(lambda x: x + zero, frame) for frame in (*placed.before, placed.last)]
     return jnp.stack([poses.to_matrix(frame) for frame in spread], axis=-3)

@@ -15,7 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ikjax.arm.arm import Arm, numbers
-from ikjax.arm.forward import Chain, fixed_pose, fk, frames
+from ikjax.arm.forward import Chain, chain, check_joints, columns_of, fixed_pose
+from ikjax.core import pose as poses
 from ikjax.core import safe, vector
 from ikjax.core.pose import Pose
 from ikjax.core.trig import Scalar
@@ -214,12 +215,10 @@ def jacobian(arm: Arm, q: ArrayInput) -> jax.Array:
 
     Source: Spong, Robot Modeling and Control, equations (4.56)-(4.57).
     """
-    before = frames(arm, q)[..., :-1, :, :]
-    axis, origin = before[..., :3, 2], before[..., :3, 3]
-    tip = fk(arm, q)[..., None, :3, 3]
-    revolute = jnp.concatenate([jnp.cross(axis, tip - origin), axis], axis=-1)
-    prismatic = jnp.concatenate([axis, jnp.zeros_like(axis)], axis=-1)
-    is_revolute = jnp.asarray([[kind == "R"] for kind in arm.kinds])
-    columns = jnp.where(jnp.broadcast_to(is_revolute, revolute.shape), revolute, prismatic)
-    columns = jnp.swapaxes(columns, -1, -2)
-    return columns if arm.coupling is None else jnp.matmul(columns, jnp.asarray(arm.coupling))
+    values, arm = check_joints(arm, q), arm.baked()
+    kinematics = chain(arm, columns_of(values))
+    tip = poses.compose(kinematics.last, fixed_pose(arm.tool)).position
+    zero = jnp.zeros_like(values[..., 0])
+    twists = motor_twists(arm, kinematics, tip)
+    rows = zip(*((*twist.linear, *twist.angular) for twist in twists), strict=True)
+    return jnp.stack([jnp.stack([x + zero for x in row], axis=-1) for row in rows], axis=-2)

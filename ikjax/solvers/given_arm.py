@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from ikjax.arm.forward import Link, advance
+from ikjax.arm.twists import angular_velocity, prismatic_twist, revolute_twist
 from ikjax.core import pose as poses
 from ikjax.core import safe, vector
 from ikjax.core.linear import damped_steps
@@ -282,22 +283,16 @@ def _step(given: Given, joints: Joints, goal: Pose, turning: bool, setting: Sett
     gap = pin_all(_gap(given, reached, goal, change))
     tip = vector.add(reached.position, vector.rotate(reached.rotation, given.tool_point))
     tip = pin_all(tip)
-    # The rotation error as a vector: half the sum of the cross products of the columns is the axis of the
-    # rotation that is left, times the sine of its angle.
-    columns = zip(vector.transpose(reached.rotation), vector.transpose(goal.rotation), strict=True)
-    turns = [vector.cross(mine, wanted) for mine, wanted in columns]
-    turn = vector.scale(0.5, vector.add(vector.add(turns[0], turns[1]), turns[2]))
+    # The axis of the rotation that is left, times the sine of its angle.
+    turn = angular_velocity(reached.rotation, goal.rotation)
     wanted = (*vector.scale(-1, gap), *map(pin, turn))
     rows = 6 if turning else 3
-    # The columns of the geometric Jacobian, for the tool point.
     motions = []
     for joint, frame in zip(joints, before, strict=True):
         axis = tuple(row[2] for row in frame.rotation)
-        if isinstance(joint, Slide):
-            motions.append((*axis, 0.0, 0.0, 0.0))
-        else:
-            arm = vector.cross(axis, vector.subtract(tip, frame.position))
-            motions.append((*map(pin, arm), *axis))
+        slides = isinstance(joint, Slide)
+        twist = prismatic_twist(axis) if slides else revolute_twist(axis, frame.position, tip)
+        motions.append((*(twist.linear if slides else map(pin, twist.linear)), *twist.angular))
     motions = [m[:rows] for m in motions]
     wanted = wanted[:rows]
     # The damping, 16 eps, keeps the normal equations regular where the columns of J are dependent.
