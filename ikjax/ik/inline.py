@@ -223,11 +223,11 @@ def solve_inline(
     roots = AgreedRoots(policy)
     hidden_entries = hidden(entries, goals[..., 0, 3])
     with pinning(None), roots.recorded():
-        slots_of(arm, hidden_entries, q_now, pose_tolerance)
+        slots_of(arm, hidden_entries, q_now, pose_tolerance, redundancy)
     with pinning(None), roots.replayed():
-        unpinned = slots_of(arm, entries, q_now, pose_tolerance)
+        unpinned = slots_of(arm, entries, q_now, pose_tolerance, redundancy)
     with pinning(policy), roots.replayed():
-        pinned = slots_of(arm, columns, q_now, pose_tolerance)
+        pinned = slots_of(arm, columns, q_now, pose_tolerance, redundancy)
     flags = {name: [getattr(slot, name) for slot in unpinned] for name in ("valid", "continuum")}
     masks = {name: mask_of(values, goals[..., 0, 3]) for name, values in flags.items()}
     return gathered(pinned, goals.shape[:-2], **masks), pinned

@@ -95,5 +95,5 @@ FAMILIES = {
     "position": Family(position.branches, first=0, last=0),
 }
 
-KERNELS = {**FAMILIES, "arm_angle": Family(arm_angle.branches, first=0, last=0)}
+KERNELS = {**FAMILIES, "arm_angle": Family(arm_angle.branches, first=0, last=0, small=True)}
 """With that of `solve(arm_angle=...)`, which no arm is recognized as."""
