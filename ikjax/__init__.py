@@ -16,6 +16,7 @@ from ikjax.core.pose import pose as pose
 from ikjax.core.pose import pose_error as pose_error
 from ikjax.core.pose import position as position
 from ikjax.core.pose import to_wxyz_xyz as to_wxyz_xyz
+from ikjax.ik.arm_angle import arm_angle as arm_angle
 from ikjax.ik.check import check_goals as check_goals
 from ikjax.ik.check import explain as explain
 from ikjax.ik.free_roll import FreeRolls as FreeRolls

@@ -20,9 +20,9 @@ from jax.typing import DTypeLike
 
 from ikjax.arm import dh, printing
 from ikjax.arm.axes_to_dh import Axes, Rewritten, rewritten, size_of
-from ikjax.arm.recognition import free_parameters, lock, recognize
+from ikjax.arm.recognition import arm_angle, free_parameters, lock, recognize
 from ikjax.arm.recognition.rules import RULES
-from ikjax.arm.recognition.signs import named_signs
+from ikjax.arm.recognition.signs import ArmAngleSigns, named_signs
 from ikjax.core import pose as poses
 from ikjax.core import text
 from ikjax.core.tolerances import AXIS_LADDER, COMPLETE, FACT, LARGEST_AXIS_TOLERANCE, TABLE_SPREAD
@@ -93,6 +93,11 @@ class Arm:
     locked: tuple[int, ...] = dataclasses.field(default=(), kw_only=True, metadata={"static": True})
     """The joints beyond the six that a pose asks for, counted from 0, at the ends of the arm. `solve` takes
     their values, and the family solves those between. Empty where there are none."""
+    arm_angle_signs: ArmAngleSigns | None = dataclasses.field(
+        default=None, kw_only=True, metadata={"static": True}
+    )
+    """What `solve(arm_angle=...)` must know of an arm with a spherical shoulder and a spherical wrist; None
+    of any other."""
 
     kinds: str = dataclasses.field(metadata={"static": True})
     """The joints from base to tool, "R" (revolute) or "P" (prismatic) each."""
@@ -547,6 +552,7 @@ def _built(
         branches=verdict.branches,
         task=verdict.task,
         locked=verdict.locked,
+        arm_angle_signs=None if leaves["coupling"] is not None else arm_angle.signs_of(kinds, leaves, FACT),
     )
 
 

@@ -36,7 +36,7 @@ from ikjax.core.xla import (
     through_one_number,
 )
 from ikjax.ik.results import Solutions
-from ikjax.solvers.families import FAMILIES
+from ikjax.solvers.families import KERNELS
 from ikjax.solvers.pipeline import Slot, each_slot, margin_rows, solve_rows, solve_scalars
 
 FIELDS = ("valid", "margin", "continuum", "position_error", "rotation_error")
@@ -65,10 +65,10 @@ def slots_of(
         entries: The goals' numbers.
         q_now: (..., n) joint values for joints that are arbitrary; zero where it is None.
         pose_tolerance: See `solve`.
-        redundancy: (..., k) values of the joints in `Arm.locked`; None where there are none.
+        redundancy: (..., k) values of the joints in `Arm.locked`, or the arm angle; None where there is none.
     """
     goal, proper = _proper(arm, entries)
-    free, finite = _finite(arm, redundancy)
+    free, finite = _finite(redundancy)
     slots = solve_scalars(arm, goal, _fallback(arm, q_now), pose_tolerance, free)
     return _masked(arm, slots, proper, finite, entries[0][3].dtype)
 
@@ -81,10 +81,10 @@ def rows_of(
     redundancy: jax.Array | None = None,
 ) -> Slot | None:
     """As `slots_of`, but with the slots as the first axis of one; None where the family has no such form."""
-    if FAMILIES[str(arm.family)].stacked is None:
+    if KERNELS[str(arm.family)].stacked is None:
         return None
     goal, proper = _proper(arm, entries)
-    free, finite = _finite(arm, redundancy)
+    free, finite = _finite(redundancy)
     rows = solve_rows(arm, goal, _fallback(arm, q_now), pose_tolerance, free)
     finite = None if finite is None else finite[None]
     (rows,) = _masked(arm, (rows,), proper[None], finite, entries[0][3].dtype)
@@ -94,7 +94,7 @@ def rows_of(
 def margins_of(arm: Arm, entries: Entries, fold: tuple, redundancy: jax.Array | None = None) -> jax.Array:
     """The margins of `rows_of` with their derivatives, from the fold that it gave, (S, ...)."""
     goal, proper = _proper(arm, entries)
-    free, finite = _finite(arm, redundancy)
+    free, finite = _finite(redundancy)
     margin = margin_rows(arm, goal, fold, free)
     known = proper[None] if finite is None else (proper & finite)[None]
     return jnp.where(known, margin, jax.lax.stop_gradient(margin))
@@ -113,11 +113,11 @@ def _proper(arm: Arm, entries: Entries) -> tuple[Pose, jax.Array]:
     return goal, proper
 
 
-def _finite(arm: Arm, redundancy: jax.Array | None) -> tuple[tuple[jax.Array, ...], jax.Array | None]:
-    """The values of locked joints, zero in place of those that are not finite, and where all of them are."""
+def _finite(redundancy: jax.Array | None) -> tuple[tuple[jax.Array, ...], jax.Array | None]:
+    """What is given beside the goal, zero in place of what is not finite, and where all of it is."""
     if redundancy is None:
         return (), None
-    given = tuple(redundancy[..., j] for j in range(len(arm.locked)))
+    given = tuple(redundancy[..., j] for j in range(redundancy.shape[-1]))
     finite = functools.reduce(operator.and_, map(jnp.isfinite, given))
     return tuple(jnp.where(finite, value, 0) for value in given), finite
 
@@ -157,7 +157,7 @@ def is_small(arm: Arm) -> bool:
 
     It cannot where the arm's zeros and ones are traced, nor where base or tool differ from goal to goal.
     """
-    small = FAMILIES[str(arm.family)].small and not arm.locked
+    small = KERNELS[str(arm.family)].small and not arm.locked
     return small and arm.correction is None and not is_traced(arm)
 
 
@@ -223,11 +223,11 @@ def solve_inline(
     roots = AgreedRoots(policy)
     hidden_entries = hidden(entries, goals[..., 0, 3])
     with pinning(None), roots.recorded():
-        slots_of(arm, hidden_entries, q_now, pose_tolerance)
+        slots_of(arm, hidden_entries, q_now, pose_tolerance, redundancy)
     with pinning(None), roots.replayed():
-        unpinned = slots_of(arm, entries, q_now, pose_tolerance)
+        unpinned = slots_of(arm, entries, q_now, pose_tolerance, redundancy)
     with pinning(policy), roots.replayed():
-        pinned = slots_of(arm, columns, q_now, pose_tolerance)
+        pinned = slots_of(arm, columns, q_now, pose_tolerance, redundancy)
     flags = {name: [getattr(slot, name) for slot in unpinned] for name in ("valid", "continuum")}
     masks = {name: mask_of(values, goals[..., 0, 3]) for name, values in flags.items()}
     return gathered(pinned, goals.shape[:-2], **masks), pinned

@@ -347,6 +347,7 @@ def _part_samples(ends: jax.Array, own: jax.Array, span: tuple) -> tuple[jax.Arr
     """
     count, slots, parts, _ = ends.shape
     share = ((1 - np.cos(np.linspace(0, np.pi, PART_SAMPLES))) / 2).astype(ends.dtype)
+    share = share.reshape(1, 1, 1, -1)
     low, high = ends[..., :1], ends[..., 1:]
     inner = low + (high - low) * share
     inner = jnp.where(share == 1, high, inner)

@@ -21,6 +21,7 @@ from ikjax.core import pose as poses
 from ikjax.core.warn import MOST_TURNS, warn_of_degrees
 from ikjax.core.xla import as_array, divider, is_traced, not_folded, stop_gradient
 from ikjax.ik import batched
+from ikjax.ik.arm_angle import at_arm_angle
 from ikjax.ik.inline import in_type, solve_inline
 from ikjax.ik.refusal import refusal
 from ikjax.ik.results import Origin, Solutions
@@ -34,6 +35,8 @@ def solve(
     q_now: ArrayLike | None = None,
     *,
     redundancy: ArrayLike | None = None,
+    arm_angle: ArrayLike | None = None,
+    reference: str = "axis1",
     pose_tolerance: float | None = None,
     damping: float | None = None,
 ) -> Solutions:
@@ -49,6 +52,10 @@ def solve(
             pose asks for: an array (...) that broadcasts with the goals' batch, so that goals (N, 1, 4, 4)
             and 16 values give answers (N, 16). With several such joints (..., k). A value beyond the limits
             is solved as any other; one that is not finite masks its row.
+        arm_angle: In place of `redundancy`, the arm angle [rad] of an arm of seven joints with a spherical
+            shoulder and a spherical wrist, (...) likewise: `ikjax.arm_angle` states it. The slots are then
+            those of `solvers.families.arm_angle`, eight, by the signs of joints 2, 4 and 6.
+        reference: Of the arm angle: "axis1" or "stereographic", see `ikjax.arm_angle`.
         pose_tolerance: How far a valid pose may be from its goal, [rad] and as a share of
             (reach + |p|); 1e-9 in float64 and 2e-5 in float32 by default.
         damping: Of the gradients near singularities (damped least squares), as a singular value of the
@@ -57,17 +64,24 @@ def solve(
 
     Returns:
         `Solutions`, its fields (..., S) with S = len(arm.branches). `q` and `margin` have gradients in the
-        goals, in the arm's leaves and in the redundancy: that of `q` is the tangent of the self-motion. They
+        goals, in the arm's leaves and in the redundancy or the arm angle: that of `q` is the tangent of the
+        self-motion. They
         are finite everywhere, and zero for joints of slots that are not valid (`ik.solve_gradient` states the
         rule). The other fields have none.
 
     Raises:
         ValueError: Wrong shapes or types, an arm of no family, a redundancy that is missing or that the arm
-            does not have.
+            does not have, or an arm angle of an arm that has none.
     """
-    check_family(arm)
     goals = as_goals(goals)
-    goals, free = _with_redundancy(arm, goals, redundancy)
+    if arm_angle is None:
+        check_family(arm)
+        goals, free = _with_redundancy(arm, goals, redundancy)
+    else:
+        if redundancy is not None:
+            raise ValueError("redundancy= and arm_angle= are two ways to say one thing: give one of them")
+        arm = at_arm_angle(arm, reference)
+        goals, free = _with_angle(goals, arm_angle)
     arm = _in_type(arm, goals.dtype)
     fallback = None if q_now is None else _as_fallback(arm, goals, q_now)
     # Blocks are compiled beforehand, which `jax.disable_jit`, for debugging, does not allow.
@@ -145,6 +159,24 @@ def _with_redundancy(
     kinds = "".join(arm.kinds[i] for i in arm.locked)
     warn_of_degrees("redundancy", free, MOST_TURNS, kinds)
     return jnp.broadcast_to(goals, (*batch, 4, 4)), jnp.broadcast_to(free, (*batch, count))
+
+
+def _with_angle(goals: jax.Array, arm_angle: ArrayLike) -> tuple[jax.Array, jax.Array]:
+    """Goals and the arm angle (..., 1) with one batch shape.
+
+    Raises:
+        ValueError: A shape that does not broadcast.
+    """
+    angle = as_array(arm_angle, goals.dtype)
+    try:
+        batch = np.broadcast_shapes(goals.shape[:-2], angle.shape)
+    except ValueError as error:
+        raise ValueError(
+            f"arm_angle must have a shape that broadcasts with the goals' {goals.shape[:-2]}, "
+            f"got {angle.shape}"
+        ) from error
+    warn_of_degrees("arm_angle", angle[..., None], MOST_TURNS, "R")
+    return jnp.broadcast_to(goals, (*batch, 4, 4)), jnp.broadcast_to(angle[..., None], (*batch, 1))
 
 
 def _wanted(arm: Arm) -> str:

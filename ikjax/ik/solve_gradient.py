@@ -24,12 +24,13 @@ from jax.custom_derivatives import SymbolicZero
 
 from ikjax.arm import twists
 from ikjax.arm.arm import Arm
-from ikjax.arm.forward import chain, fixed_pose, reach
+from ikjax.arm.forward import Chain, chain, fixed_pose, reach
 from ikjax.core import pose as poses
 from ikjax.core.linear import dot, solve_symmetric
 from ikjax.core.tolerances import GRADIENT_DAMPING
 from ikjax.core.trig import Scalar
 from ikjax.core.xla import divider, in_blocks, opaque_one, pinning, stop_gradient, stored
+from ikjax.ik import arm_angle
 from ikjax.ik.inline import Entries, entries_of, margins_of, slots_of
 from ikjax.solvers.pipeline import Slot
 
@@ -54,7 +55,7 @@ class DerivativeRule(NamedTuple):
     damping: float
     """Of the pseudo-inverse."""
     free: jax.Array | None
-    """Values of the joints in `Arm.locked`, (..., k); None where there are none."""
+    """Values of the joints in `Arm.locked`, or the arm angle, (..., k); None where there is none."""
 
     @staticmethod
     def of(
@@ -163,7 +164,7 @@ def _joint_rates(
         arm: The arm.
         arm_rates: An arm whose leaves are rates; None for zero.
         goal_rates: The first three rows, each number (...); None for zero.
-        free_rates: (..., k) of the joints in `Arm.locked`; None for zero.
+        free_rates: (..., k) of the joints in `Arm.locked`, or of the arm angle; None for zero.
         joints: n arrays (..., S).
         valid: (..., S); elsewhere the rates are zero.
         damping: Of the pseudo-inverse.
@@ -207,6 +208,11 @@ def _joint_rates(
     solved_twists = solved_twists[arm.solved.start : arm.solved.stop]
     motions = zip(units, solved_twists, strict=True)
     columns = [[divide(x) for x in task_rows(motion.times(unit))] for unit, motion in motions]
+    if arm.family == arm_angle.FAMILY:
+        # Of seven joints the arm angle asks for one thing more.
+        row, rate = _angle_row(arm, arm_rates, free_rates, joints, kinematics)
+        columns = [[*column, divide(entry)] for column, entry in zip(columns, row, strict=True)]
+        wanted.append(divide(rate))
     # The normal equations of damped least squares, (J^T J + damping^2 I) x = J^T wanted.
     matrix = [[divide(dot(u, v)) for v in columns] for u in columns]
     for i in range(len(columns)):
@@ -229,3 +235,24 @@ def _joint_rates(
     locked = [jnp.where(invalid, 0, rate) for rate in given]
     rates = [*locked[: arm.solved.start], *rates, *locked[arm.solved.start :]]
     return tuple(jnp.moveaxis(jnp.broadcast_to(x, invalid.shape), 0, -1) for x in rates)
+
+
+def _angle_row(
+    arm: Arm,
+    arm_rates: Arm | None,
+    free_rates: jax.Array | None,
+    joints: tuple[jax.Array, ...],
+    kinematics: Chain,
+) -> tuple[list[Scalar], Scalar]:
+    """The derivatives of the arm angle by the joints, and the rate that these have to make up for.
+
+    Both are times `Measured.scale`, and so finite where the reference is not defined.
+    """
+    now = arm_angle.measured(arm, kinematics)
+    rate = jnp.zeros_like(joints[0]) if free_rates is None else free_rates[..., 0][None]
+    if arm_rates is not None:
+        _, by_arm = jax.jvp(
+            lambda arm: arm_angle.measured(arm, chain(arm, joints)).angle, (arm,), (arm_rates,)
+        )
+        rate = rate - by_arm
+    return list(now.row), now.scale * rate

@@ -118,8 +118,12 @@ def plan(
     return Plan({name: statistic for name, (statistic, _) in built.items()}, channels)
 
 
-def certified(plan: Plan) -> Plan:
+def certified(plan: Plan, by_values: bool = False) -> Plan:
     """The same plan, with doubtful goals solved again in float64.
+
+    Args:
+        plan: The statistics.
+        by_values: One joint is redundant, and goals are searched between its values too.
 
     Raises:
         ValueError: No statistic counts or sums, or one of them is `Near`.
@@ -128,12 +132,14 @@ def certified(plan: Plan) -> Plan:
         raise ValueError("certify does not support Near: sweep for it without certify")
     if not any(channel.is_additive for channel in plan.channels.values()):
         raise ValueError(f"certify needs a statistic that counts, got {', '.join(plan.statistics)}")
-    again = {
-        name: statistic._replace(facts={**statistic.facts, "certified": True})
-        if any(plan.channels[channel].is_additive for channel in statistic.channels)
-        else statistic
-        for name, statistic in plan.statistics.items()
-    }
+
+    def facts(statistic: Statistic) -> dict[str, Any]:
+        channels = [plan.channels[channel] for channel in statistic.channels]
+        found = {"certified": any(channel.is_additive for channel in channels)}
+        found["between_values"] = by_values and any(channel.any_value for channel in channels)
+        return {**statistic.facts, **{key: True for key, holds in found.items() if holds}}
+
+    again = {name: each._replace(facts=facts(each)) for name, each in plan.statistics.items()}
     return Plan(again, plan.channels, certify=True)
 
 
@@ -173,7 +179,7 @@ def _named(arm: Arm, name: str, orientations: int, trials: int) -> tuple[Statist
     slots = len(arm.branches)
     if base == "reachable":
         value = functools.partial(_is_reached, inside=inside)
-        channel = Channel("count", value, inside=inside, any_trial=True)
+        channel = Channel("count", value, inside=inside, any_trial=True, any_value=True)
         return Statistic("int32", (name,), _as_counts), {name: channel}
     if base == "solutions":
         value = functools.partial(_solution_count, inside=inside)
@@ -189,7 +195,7 @@ def _named(arm: Arm, name: str, orientations: int, trials: int) -> tuple[Statist
         return Statistic("int32", tuple(channels), _side_by_side, (("branch", slots),)), channels
     if base == "mask":
         words = -(-orientations // GOALS_PER_WORD)
-        channel = Channel("bits", lambda goal: _any(goal.flags(inside)), inside=inside)
+        channel = Channel("bits", lambda goal: _any(goal.flags(inside)), inside=inside, any_value=True)
         # The last tile may be longer than the orientations, so its last words are cut off.
         statistic = Statistic("uint32", (name,), lambda bits: bits[:, :words], (("word", words),))
         return statistic, {name: channel}
@@ -229,7 +235,11 @@ def _limited_by(arm: Arm, orientations: int, trials: int) -> tuple[Statistic, di
     ]
     channels = {
         f"{LIMITED_BY}.{i}": Channel(
-            "count", functools.partial(Goal.reached_but_for, joint=i), inside=True, any_trial=True
+            "count",
+            functools.partial(Goal.reached_but_for, joint=i),
+            inside=True,
+            any_trial=True,
+            any_value=True,
         )
         for i in limited
     }

@@ -55,6 +55,8 @@ class Setting(NamedTuple):
     answer."""
     correction_size: Scalar
     """A measure of `Arm.correction`, in units of the reach and rad; zero for an arm solved as recognized."""
+    given: tuple[Scalar, ...] = ()
+    """What is given beside the goal and is no joint: the arm angle [rad]."""
 
     @property
     def rounding(self) -> float:

@@ -37,7 +37,7 @@ from ikjax.core.tolerances import TINY, UNSEEN, VALID
 from ikjax.core.trig import Angle, Scalar, atan2, canonical, sincos, wrap
 from ikjax.core.xla import is_traced, pin, pin_all
 from ikjax.solvers.context import Branch, Joints, Setting, Slide, placed
-from ikjax.solvers.families import FAMILIES, Family
+from ikjax.solvers.families import KERNELS, Family
 from ikjax.solvers.given_arm import Given, polished, polished_rows, step_count
 
 TURNING = ("pose", "planar_pose")
@@ -178,18 +178,18 @@ def solve_scalars(
         goal: T_world_tool with an orthonormal rotation; `clean` makes one of anything.
         fallback: Joint values where the goal leaves joints arbitrary; zero by default.
         tolerance: Overrides `VALID` for the goal's type.
-        free: The values of the joints in `Arm.locked` [rad, m], finite.
+        free: The values of the joints in `Arm.locked` [rad, m], or the arm angle [rad], finite.
 
     Returns:
         One `Slot` for each branch of the family, in slot order.
     """
-    if FAMILIES[str(arm.family)].stacked is not None:
+    if KERNELS[str(arm.family)].stacked is not None:
         return each_slot(solve_rows(arm, goal, fallback, tolerance, free))
     tolerance = VALID[jnp.result_type(goal.position[0]).name] if tolerance is None else tolerance
     frame, tip, setting = _prepared(arm, goal, fallback, free)
     allowed = tolerance * (1 + frame.per_reach * vector.norm(goal.position))
     turning = arm.task in TURNING
-    family = FAMILIES[str(arm.family)]
+    family = KERNELS[str(arm.family)]
     both = allowed, tolerance
     branches = family.branches(arm.signs, frame.links, tip, setting)
     if frame.between is not None:
@@ -198,7 +198,7 @@ def solve_scalars(
         measured = list(zip(gaps, turns, strict=True))
     else:
         measured = [_mismatch(frame, family, branch) for branch in branches]
-    measure = _Measure(arm, frame, _motors(arm), both, free)
+    measure = _Measure(arm, frame, _motors(arm), both, _of_joints(arm, free))
     return tuple(measure(branch, squares) for branch, squares in zip(branches, measured, strict=True))
 
 
@@ -213,7 +213,7 @@ def solve_rows(
 
     Arguments as in `solve_scalars`.
     """
-    dtype, family = jnp.result_type(goal.position[0]), FAMILIES[str(arm.family)]
+    dtype, family = jnp.result_type(goal.position[0]), KERNELS[str(arm.family)]
     assert family.stacked is not None
     tolerance = VALID[dtype.name] if tolerance is None else tolerance
     if _is_wide(arm, dtype):
@@ -244,7 +244,7 @@ def each_slot(rows: Slot) -> tuple[Slot, ...]:
 
 def margin_rows(arm: Arm, goal: Pose, fold: tuple, free: tuple[Scalar, ...] = ()) -> Scalar:
     """The margins of `solve_rows` with their derivatives, from the `Slot.fold` that it gave."""
-    family = FAMILIES[str(arm.family)]
+    family = KERNELS[str(arm.family)]
     assert family.margins is not None
     dtype = jnp.result_type(goal.position[0])
     if _is_wide(arm, dtype):
@@ -339,7 +339,7 @@ def proposed(arm: Arm, goal: Pose, free: tuple[Scalar, ...] = ()) -> list[tuple[
     Arguments as in `solve_scalars`. Nothing is measured, and the arm is taken as recognized.
     """
     frame, tip, setting = _prepared(arm, goal, None, free)
-    family = FAMILIES[str(arm.family)]
+    family = KERNELS[str(arm.family)]
     branches = (family.nearest or family.branches)(arm.signs, frame.links, tip, setting)
     motors = _motors(arm)
     return [motors(_whole(arm, _joint_values(frame, branch.joints), free)) for branch in branches]
@@ -352,7 +352,7 @@ def proposed_at_limits(arm: Arm, goal: Pose) -> tuple[jax.Array, ...]:
         Joints, each (S, ...), those of `proposed` first. Joints that can be locked but have no limits are not
         locked.
     """
-    family, limits = FAMILIES[str(arm.family)], {}
+    family, limits = KERNELS[str(arm.family)], {}
     assert family.locked is not None
     for joint in family.lockable:
         angles = [vector.plus(links(arm)[joint].theta, limit) for limit in numbers(arm.limits[joint])]
@@ -384,7 +384,7 @@ def _prepared(
 ) -> tuple[Frame, Pose, Setting]:
     """The arm's frame, the goal as its family expects it, and the setting of the family."""
     dtype = jnp.result_type(goal.position[0])
-    frame = prepare(arm, free)
+    frame = prepare(arm, _of_joints(arm, free))
     zero = TINY * float(np.finfo(dtype).eps)
     values = coupled(arm, (0.0,) * arm.n if fallback is None else fallback)
     values = values[arm.solved.start : arm.solved.stop]
@@ -403,8 +403,14 @@ def _prepared(
             zero_tolerance=zero,
             length_uncertainty=vector.plus(zero / 8, frame.correction_size),
             correction_size=frame.correction_size,
+            given=() if arm.locked else free,
         ),
     )
+
+
+def _of_joints(arm: Arm, free: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
+    """The values of locked joints, where what is given is not the arm angle."""
+    return free if arm.locked else ()
 
 
 def _tip_goal(task: str, frame: Frame, goal: Pose) -> Pose:

@@ -339,7 +339,7 @@ def test_every_arm_of_the_tables_has_a_second_description_or_is_said_to_have_non
         *test_robots.CLOSED,
         *test_robots.FRAMES,
         # tests/arm/test_seven_joints.py reads these from their makers' frames.
-        *("fer", "iiwa7", "iiwa14", "xarm7", "gen3", "rm75", "gen72"),
+        *("fer", "iiwa7", "iiwa14", "xarm7", "gen3", "rm75", "gen72", "openarm"),
     }
     checked = {*PACKAGED, *REACH, *WRITTEN, "piper", *elsewhere}
     assert set(tables.tables()) - checked == UNCHECKED

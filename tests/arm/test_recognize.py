@@ -18,7 +18,7 @@ FAMILY = {
     "planar_2r": "planar_position",
     **dict.fromkeys(["motoman_l3", "so101", "katana_6m180", "vx300"], "five_axis"),
     "gx4_351s": "scara",
-    **dict.fromkeys(["stanford", "iiwa7", "iiwa14", "rm75", "gen3"], "pieper"),
+    **dict.fromkeys(["stanford", "iiwa7", "iiwa14", "rm75", "gen3", "openarm"], "pieper"),
     **dict.fromkeys(["fer", "fr3", "xarm7", "gen72"], "pieper_reversed"),
     **dict.fromkeys(["cobotta", "crx10ia", "gen3lite", "gofa5", "gofa10"], "offset_wrist"),
     **dict.fromkeys(["hc10", "link6", "xarm6"], "offset_wrist"),

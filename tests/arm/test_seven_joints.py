@@ -76,6 +76,16 @@ FILES = {
         ((0, 0, 0), (P, 0, 0), Y),
         ((0, 0, 0.144), (0, 0, 0), Z),
     ],
+    # enactic/openarm_description, urdf/arm/openarm_arm.xacro without a prefix, and its kinematics.yaml.
+    "openarm": [
+        ((0, 0, 0.0625), (0, 0, 0), Z),
+        ((-0.0301, 0, 0.06), (0, 0, 0), (-1, 0, 0)),
+        ((0.0301, 0, 0.06625), (0, 0, 0), Z),
+        ((0, 0.0315, 0.15375), (0, 0, 0), Y),
+        ((0, -0.0315, 0.0955), (0, 0, 0), Z),
+        ((0.0375, 0, 0.1205), (0, 0, 0), X),
+        ((-0.0375, 0, 0), (0, 0, 0), (0, -1, 0)),
+    ],
     "gen72": [
         ((0, 0, 0.218), (0, 0, 0), Z),
         ((0, 0, 0), (-P, 0, 0), Z),
@@ -88,7 +98,7 @@ FILES = {
 }
 REDUNDANT = {
     **dict.fromkeys(["fer", "fr3", "xarm7", "gen72"], ("joint7", "pieper_reversed")),
-    **dict.fromkeys(["iiwa7", "iiwa14", "gen3", "rm75"], ("joint1", "pieper")),
+    **dict.fromkeys(["iiwa7", "iiwa14", "gen3", "rm75", "openarm"], ("joint1", "pieper")),
 }
 
 

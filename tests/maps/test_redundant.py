@@ -7,6 +7,7 @@ import pytest
 
 import ikjax
 from ikjax.arm.forward import reach as reach_of
+from ikjax.maps.kernel import between
 from ikjax.maps.store import manifest
 
 SAMPLES = 5
@@ -138,11 +139,43 @@ def test_a_map_is_stored_and_resumed_and_knows_its_samples(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_certified_sweep_counts_as_float64_does():
-    names = ("reachable_within", "solutions_within")
-    sure = ikjax.sweep(fer(), **study(), dtype="float32", certify=True, statistics=names)
-    for name in names:
-        np.testing.assert_array_equal(sure.arrays[name].reshape(-1), swept().arrays[name].reshape(-1))
+def test_a_certified_sweep_finds_what_lies_between_its_values():
+    """It reaches what 999 values reach, and counts solutions at its own values as float64 does."""
+    names = ("reachable", "reachable_within", "solutions_within", "mask_within", "limited_by")
+    options = {"statistics": names, "free_rolls": 2}
+    sure = ikjax.sweep(fer(), **study(), dtype="float32", certify=True, **options)
+    few = ikjax.sweep(fer(), **study(), dtype="float64", **options)
+    dense = {**study(), "redundancy_samples": 999}
+    many = ikjax.sweep(fer(), **dense, dtype="float64", statistics=names[:4], free_rolls=2)
+    np.testing.assert_array_equal(sure.arrays["solutions_within"], few.arrays["solutions_within"])
+    for name in ("reachable", "reachable_within", "mask_within"):
+        np.testing.assert_array_equal(sure.arrays[name], many.arrays[name], err_msg=name)
+        assert (few.arrays[name] != many.arrays[name]).any()
+    counts = np.unpackbits(sure.arrays["mask_within"].view(np.uint8), axis=-1).sum(-1)
+    np.testing.assert_array_equal(counts.reshape(-1), sure.arrays["reachable_within"].reshape(-1))
+    assert (sure.arrays["limited_by"] >= 0).all() and (sure.arrays["limited_by"] > 0).any()
+    assert sure.statistic_specs["mask_within"]["between_values"] is True
+    assert "between_values" not in sure.statistic_specs["solutions_within"]
+
+
+def test_a_maximum_between_samples_is_found_where_it_is_above_zero():
+    """Of two slots with a narrow part each: tents, parabolas, and corners beside a jump."""
+    centers = np.linspace(-0.9, 0.9, 40)
+    heights = np.array([1e-6, 1e-3, -1e-6, -1e-3])
+
+    def evaluate(goals, values):
+        off = values[..., None] - centers[goals % 40][:, None, None]
+        top = heights[goals // 40][:, None, None]
+        tent = top - np.concatenate([np.abs(off), np.where(off < 0, -off, 3 * off)], -1)
+        bump = top - np.concatenate([off**2, np.where(off < -0.05, 1, 40 * off**2)], -1)
+        level = np.stack([tent, bump], -1)
+        return level, level >= 0
+
+    wanted = np.ones((160, 2), bool)
+    wanted[7] = False
+    samples = np.linspace(-1, 1, 4 * between.WIDTH)
+    found = between.is_reached(evaluate, wanted, samples)
+    np.testing.assert_array_equal(found, wanted & (np.arange(160) < 80)[:, None])
 
 
 def test_the_number_of_values_is_in_the_spec_of_redundant_arms_alone():

@@ -124,6 +124,15 @@ class PieperSigns(NamedTuple):
     """1 where alpha4 and alpha5 are both right angles, else 0."""
 
 
+class ArmAngleSigns(NamedTuple):
+    """Of seven joints with a spherical shoulder and wrist, at a given arm angle; see `arm_angle`."""
+
+    sin_alpha: tuple[int, ...]
+    """The signs of sin(alpha1) to sin(alpha6), all right angles."""
+    stereographic: bool
+    """Which reference the arm angle has: one that is singular in one direction alone, or axis 1."""
+
+
 class ParallelAxesSigns(NamedTuple):
     first_parallel: int
     """The first of the three parallel axes: 1, 2, 3 or 4."""

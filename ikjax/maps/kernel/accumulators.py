@@ -21,6 +21,11 @@ COUNT_BITS = 31
 """Bits of an int32 that counts may use; the sign bit stays clear."""
 
 
+REACHED = {False: "reached", True: "reached.within"}
+"""Channels of the goals that are reached, without limits and within them, for certified sweeps of an arm with
+redundant joints."""
+
+
 class Accumulator(NamedTuple):
     """Channels whose numbers are reduced as one number of each goal.
 
@@ -56,7 +61,9 @@ class Pass(NamedTuple):
     """Name of the channel that marks the goals left out of additive channels; None if none is left out."""
 
 
-def passes_for(channels: dict[str, Channel], trials: int, small: bool, certify: bool = False) -> list[Pass]:
+def passes_for(
+    channels: dict[str, Channel], trials: int, small: bool, certify: bool = False, by_values: bool = False
+) -> list[Pass]:
     """The passes over all goals that channels need.
 
     Channels that look at flags share one pass, channels that need joints another. Of a small kernel, each
@@ -67,6 +74,7 @@ def passes_for(channels: dict[str, Channel], trials: int, small: bool, certify: 
         trials: Of each goal, at least 1.
         small: The arm's kernel can be one fused loop (`ik.inline.is_small`).
         certify: Leave doubtful goals out of additive channels, and mark them in a channel of bits.
+        by_values: A joint is redundant: certifying looks between its values too, where nothing was reached.
     """
     flag_channels, joint_channels, alone = {}, {}, []
     for name, channel in channels.items():
@@ -81,12 +89,21 @@ def passes_for(channels: dict[str, Channel], trials: int, small: bool, certify: 
         doubt_name = None
         if certify and any(channel.is_additive for channel in members.values()):
             doubt_name = f"{DOUBT}.{len(passes)}"
+            kinds = {channel.inside for channel in members.values() if channel.any_value}
+            members = members | {REACHED[inside]: _reached(inside) for inside in kinds if by_values}
             members = members | {doubt_name: Channel("bits", Goal.doubt)}
         accumulators = tuple(accumulators_for(members, trials))
         # One accumulator alone is cheaper without the packed number.
         packs_flags = not pinned and len(accumulators) > 1
         passes += [Pass(accumulators, pinned, packs_flags, doubt_name)] if accumulators else []
     return passes + alone
+
+
+def _reached(inside: bool) -> Channel:
+    def value(goal: Goal) -> jax.Array:
+        return functools.reduce(jnp.logical_or, goal.flags(inside))
+
+    return Channel("bits", value, inside=inside, any_value=True)
 
 
 def accumulators_for(channels: dict[str, Channel], trials: int) -> list[Accumulator]:

@@ -205,6 +205,17 @@ def each_goal(
     return drop_doubtful(this_pass, _over_trials(values, this_pass, goal, trials, dtype, shape))
 
 
+def rolled_by(rotation: vector.Matrix, cosine: jax.Array, sine: jax.Array) -> vector.Matrix:
+    """A rotation after a turn about its own z axis."""
+    x, y, z = vector.transpose(rotation)
+    turned = (
+        vector.add(vector.scale(cosine, x), vector.scale(sine, y)),
+        vector.subtract(vector.scale(cosine, y), vector.scale(sine, x)),
+        z,
+    )
+    return vector.transpose(turned)
+
+
 def _over_trials(
     values: Callable[[vector.Matrix, tuple[jax.Array, ...]], tuple[jax.Array, ...]],
     this_pass: Pass,
@@ -224,14 +235,7 @@ def _over_trials(
     def rolled(k) -> vector.Matrix:
         if rolls == 1:
             return goal.rotation
-        c, s = turns[k, 0], turns[k, 1]
-        x, y, z = vector.transpose(goal.rotation)
-        turned = (
-            vector.add(vector.scale(c, x), vector.scale(s, y)),
-            vector.subtract(vector.scale(c, y), vector.scale(s, x)),
-            z,
-        )
-        return vector.transpose(turned)
+        return rolled_by(goal.rotation, turns[k, 0], turns[k, 1])
 
     def trial(k, totals):
         at = k % samples

@@ -17,7 +17,7 @@ from ikjax.core.xla import one_thread
 from ikjax.ik.batched import THREADS
 from ikjax.ik.inline import is_small
 from ikjax.maps.kernel.accumulators import JOIN_CALLS, Accumulator, passes_for
-from ikjax.maps.kernel.certify import Certifier, certified_channels, certifying_program
+from ikjax.maps.kernel.certify import Between, Certifier, certified_channels, certifying_program
 from ikjax.maps.kernel.loop import BLOCKS, CALL, ORIENTATIONS, POSITIONS, LoopSpec, loop, trials_of
 from ikjax.maps.kernel.sample import GOALS_PER_WORD
 from ikjax.maps.sets.positions import Grid
@@ -32,8 +32,8 @@ progress to show."""
 
 _CACHE_SIZE = 8
 """Programs that are kept; the oldest is dropped first."""
-_compiled: dict[str, tuple[Callable, Callable | None]] = {}
-"""By fingerprint: the loop, and the program that certifies, if there is one."""
+_compiled: dict[str, tuple[Callable, tuple[Callable, Between | None] | None]] = {}
+"""By fingerprint: the loop, and what certifies, if anything does."""
 
 
 @dataclasses.dataclass
@@ -109,6 +109,7 @@ class Kernel:
                 results[names[0]] = rows
         if self.certifier is not None:
             self.certifier.add_doubtful(results, index, first)
+            self.certifier.add_between(results, index, first)
         return results
 
     def join_calls(self, one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -162,7 +163,7 @@ def kernel_of(study: manifest.Study, plan: Plan) -> Kernel:
     tables = positions.tables(dtype), orientations.tables(dtype)
     if as_data:
         tables = tuple(map(_padded, tables[0])), tables[1]
-    passes = passes_for(plan.channels, trials.number, is_small(arm), plan.certify)
+    passes = passes_for(plan.channels, trials.number, is_small(arm), plan.certify, len(arm.locked) == 1)
     accumulators = [accumulator for this_pass in passes for accumulator in this_pass.accumulators]
     devices = jax.local_devices()
     mesh = Mesh(np.array(devices), ("goals",))
@@ -189,7 +190,9 @@ def kernel_of(study: manifest.Study, plan: Plan) -> Kernel:
             _compiled.pop(next(iter(_compiled)))
         spec = LoopSpec(arm, positions, orientations, trials, dtype, passes, tiles, width)
         certified = certified_channels(passes)
-        certifying = certifying_program(study, certified) if certified else None
+        certifying = None
+        if certified:
+            certifying = certifying_program(study, certified), Between.of(study, certified)
         _compiled[key] = _compile_loop(spec, tables, mesh), certifying
     compiled, certifying = _compiled[key]
     placed = jax.device_put(tables, NamedSharding(mesh, PartitionSpec()))

@@ -112,6 +112,9 @@ class Channel(NamedTuple):
     """Of "count", "bits" and "run": whether it looks at the flags within joint limits."""
     any_trial: bool = False
     """Of "count": over trials the numbers 0 and 1 are joined by "or", not added."""
+    any_value: bool = False
+    """Of "count" and "bits": one where any value of the redundant joint reaches the goal; a certified sweep
+    looks between the values too."""
     pinned: bool = False
     """Needs joints, not only flags: values of the kernel are pinned."""
 

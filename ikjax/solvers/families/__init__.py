@@ -18,6 +18,7 @@ from typing import NamedTuple
 from ikjax.core.trig import Scalar
 from ikjax.solvers.context import Branch, Joints
 from ikjax.solvers.families import (
+    arm_angle,
     five_axis,
     five_locked,
     five_nearest,
@@ -93,3 +94,6 @@ FAMILIES = {
     "planar_position": Family(planar.branches, first=0, last=0, small=True),
     "position": Family(position.branches, first=0, last=0),
 }
+
+KERNELS = {**FAMILIES, "arm_angle": Family(arm_angle.branches, first=0, last=0, small=True)}
+"""With that of `solve(arm_angle=...)`, which no arm is recognized as."""
