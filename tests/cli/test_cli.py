@@ -127,12 +127,7 @@ def test_both_precisions_agree(run):
         (["sweep", "puma560", "--resume"], "--resume needs --out"),
         (["sweep", "puma560", "--force"], "--force needs --out"),
         (["sweep", "nowhere.toml"], "No such file"),
-        (["sweep", "nowhere.toml", "--spacing", "1"], "--spacing is for nowhere.toml to say"),
-        (["sweep", "nowhere.toml", "--certify"], "--certify is for nowhere.toml to say"),
-        (
-            ["sweep", "nowhere.toml", "--redundancy-samples", "8"],
-            "--redundancy-samples is for nowhere.toml to say",
-        ),
+        (["sweep", "nowhere.toml", "--spacing", "1"], "No such file"),
         (["sweep", "ur5", "--redundancy-samples", "8"], "is for arms with redundant joints, ur5 has none"),
         (
             ["sweep", "gx4_351s", "--certify", "--float64"],
@@ -345,8 +340,6 @@ def test_a_file_is_known_by_its_ending_or_by_being_there(run, forked):
 def test_an_option_of_files_is_refused_for_the_catalogue(run):
     code, _, err = run("info", "ur5", "--tip", "tool0")
     assert code == 2 and "--tip goes with a URDF file, ur5 is of the catalogue" in err
-    code, _, err = run("sweep", "study.toml", "--tip", "tool0")
-    assert code == 2 and "--tip is for study.toml to say" in err
 
 
 def test_a_goal_may_be_a_rotation_vector_or_a_quaternion_with_its_scalar_last(run):

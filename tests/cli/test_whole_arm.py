@@ -168,7 +168,8 @@ def test_a_new_study_runs_and_is_not_overwritten(run, tmp_path, monkeypatch):
 
 def test_every_key_and_every_statistic_is_listed(run):
     _, out, _ = run("study", "keys")
-    assert re.findall(r"^(\w+) =", out, re.M) == list(study_file.KEYS)
+    first, *sections = re.split(r"^\[(\w+)\]", out, flags=re.M)
+    assert [*re.findall(r"^(\w+) =", first, re.M), *sections[::2]] == list(study_file.KEYS)
     _, out, _ = run("study", "statistics")
     assert "limited_by" in out and "widest_interval" in out
     code, out, _ = run("sweep", "--help")
