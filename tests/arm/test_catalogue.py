@@ -327,7 +327,29 @@ def test_the_piper_moves_as_its_model_in_the_menagerie():
     np.testing.assert_allclose((B @ theirs @ E)[:, :3, 3], ours[:, :3, 3], atol=2.5e-3)
 
 
+def test_the_yam_moves_as_its_model_in_the_menagerie():
+    """i2rt_yam/yam.xml, whose foot and link 6 have frames of their own."""
+    none, third = (1, 0, 0, 0), (1, 1, 1, 1)
+    yam = by_frames(
+        [
+            ((0, 0, 0.0631), (1, 0, 0, 1), Z),
+            ((2.5e-5, -0.02, 0.0409), third, Z),
+            ((0.264, 0, 0), (0, 1, 0, 0), Z),
+            ((-0.245, -0.06, 0), none, Z),
+            ((-0.074, -0.0395, 2.5e-5), (1, -1, 1, 1), Z),
+            ((0, 0.0353, 0.0395), (1, -1, 0, 0), Z),
+        ]
+    )
+    q = np.random.default_rng(1).uniform(-2, 2, (12, 6))
+    ours = np.array([np.asarray(ikjax.fk(ikjax.robots.yam(), joints)) for joints in q])
+    theirs = np.array([yam(joints) for joints in q])
+    B, E = two_fixed_motions(ours, theirs)
+    np.testing.assert_allclose(B @ theirs @ E, ours, atol=1e-9)
+    assert np.abs(B @ theirs @ np.roll(E, 1, 0) - ours).max() > 0.1
+
+
 UNCHECKED = {"fr3", "gofa10", "link6", "ned2", "so100", "xarm5", "zu12", "zu7"}
+UNCHECKED |= {"arx_x5", "gen3_6", "koch", "wxai"}
 """Arms of which no second description was found, but for parts: the FR3 has the FER's lengths, the xArm 5
 those of the xArm 6, the SO-100 has some of the SO-101's."""
 
@@ -341,7 +363,7 @@ def test_every_arm_of_the_tables_has_a_second_description_or_is_said_to_have_non
         # tests/arm/test_seven_joints.py reads these from their makers' frames.
         *("fer", "iiwa7", "iiwa14", "xarm7", "gen3", "rm75", "gen72"),
     }
-    checked = {*PACKAGED, *REACH, *WRITTEN, "piper", *elsewhere}
+    checked = {*PACKAGED, *REACH, *WRITTEN, "piper", "yam", *elsewhere}
     assert set(tables.tables()) - checked == UNCHECKED
 
 
@@ -360,6 +382,7 @@ def test_a_table_says_what_it_is_and_where_it_is_from():
             "dh",
             "turns",
             "joints",
+            "family",
         }
         assert set(table) <= known, name
 
