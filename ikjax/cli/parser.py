@@ -11,7 +11,7 @@ from ikjax.cli.completion import SHELLS, run_completion
 from ikjax.cli.info import run_convert, run_info
 from ikjax.cli.maps import run_sweep
 from ikjax.cli.new_study import run_study
-from ikjax.cli.show import run_show
+from ikjax.cli.show import run_show, run_view
 from ikjax.cli.solving import run_project, run_solve, run_track
 from ikjax.cli.stop import OTHERS_ENDED, TIME_IS_UP
 from ikjax.cli.synthesis import run_design, run_place
@@ -76,9 +76,17 @@ def build_parser() -> argparse.ArgumentParser:
         parser.set_defaults(run=run)
         return parser
 
-    info = command(run_info, "info", "List the catalogue, or describe one arm.")
-    info.add_argument("arm", nargs="?", help=ARM_HELP)
+    info = command(run_info, "info", "List the catalogue or a part of it, or describe one arm.")
+    info.add_argument("arm", nargs="?", help=f"{ARM_HELP}; or a word of names, titles and makers: ur, kuka")
+    info.add_argument("--find", nargs="+", metavar="WORD", help="list the arms that have each of these words")
     whole_arm.add_options(info)
+
+    view = command(run_view, "view", "Show an arm in a browser: joints, a goal to drag, branches to pick.")
+    view.add_argument("arm", help=ARM_HELP)
+    view.add_argument("--map", metavar="MAP", help="a stored map of the arm to show beside it")
+    view.add_argument("--no-meshes", action="store_true", help="do not show a URDF file's meshes")
+    view.add_argument("--port", type=int, default=8080, help="on 127.0.0.1, 8080 by default")
+    whole_arm.add_options(view)
 
     convert = command(run_convert, "convert", "Print an arm as a call of Arm.from_dh.")
     convert.add_argument("arm", help=ARM_HELP)
