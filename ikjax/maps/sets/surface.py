@@ -103,7 +103,8 @@ def surface(
 
     Args:
         points: (n, 3) [m]; or a file: `.csv` with three columns, or six with normals, `#` before
-            comments, and perhaps a first line x,y,z or x,y,z,nx,ny,nz; or `.stl`, whose triangles give their centroids and normals.
+            comments, and perhaps a first line x,y,z or x,y,z,nx,ny,nz; or `.stl`, whose triangles give their
+            centroids and normals.
         normals: (n, 3) of any length but zero, pointing out of the part; not with a file.
         scale: Meters in a unit of the points: 0.001 for a file in millimeters.
         spacing: Triangles are cut into equal ones until no edge is longer [m]; by default they are not cut.
