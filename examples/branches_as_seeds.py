@@ -1,8 +1,7 @@
 """Every branch as a seed of a numeric problem with a collision cost, which optax then solves.
 
 A numeric solver finds the minimum next to where it starts. From one start it may end in the obstacle; the
-branches of the closed form start on every side of it. The same seeds go to PyRoki: its variables take
-`sol.q[k]` as their initial values.
+branches of the closed form start on every side of it. `pyroki_seeds.py` hands the same seeds to PyRoki.
 """
 
 import jax

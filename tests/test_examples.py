@@ -8,7 +8,7 @@ import sys
 import pytest
 
 ROOT = pathlib.Path(__file__).parent.parent
-NEEDS = {"mjx_rollout": "mujoco.mjx"}
+NEEDS = {"mjx_rollout": "mujoco.mjx", "pyroki_seeds": "pyroki"}
 EXAMPLES = [path for path in sorted((ROOT / "examples").glob("*.py")) if path.stem != "quickstart"]
 """`quickstart` is in `test_readme.py`."""
 

@@ -43,7 +43,7 @@ def load(source: Any, **options: Any) -> Arm:
                 "robot_descriptions, which ends in _description"
             )
         source = _described(source)
-    return Arm.from_mujoco(source, **options) if _is_mujoco(source) else Arm.from_urdf(source, **options)
+    return Arm.from_mujoco(source, **options) if is_mujoco(source) else Arm.from_urdf(source, **options)
 
 
 def _is_name(source: str) -> bool:
@@ -71,7 +71,7 @@ def _described(name: str) -> str:
     return str(importlib.import_module("robot_descriptions._xacro").get_urdf_path(module))
 
 
-def _is_mujoco(source: Any) -> bool:
+def is_mujoco(source: Any) -> bool:
     """Whether MuJoCo reads it: a model, a path with its suffix, or XML whose first element says so."""
     if type(source).__module__.split(".")[0] == "mujoco":
         return True
@@ -81,8 +81,8 @@ def _is_mujoco(source: Any) -> bool:
         return "<mujoco" in source
     if isinstance(source, str | os.PathLike):
         name = os.fsdecode(source)
-        if name.endswith(".xml"):
+        if name.lower().endswith(".xml"):
             with open(name, "rb") as file:
                 return b"<mujoco" in file.read(2**16)
-        return name.endswith((".mjb", ".mjcf"))
+        return name.lower().endswith((".mjb", ".mjcf"))
     return False

@@ -1,5 +1,7 @@
 """`ikjax info` and `ikjax convert`: what an arm is."""
 
+import os
+
 import numpy as np
 
 import ikjax
@@ -9,8 +11,11 @@ from ikjax.cli.solving import shown
 
 
 def run_info(options) -> int:
-    if options.arm is None:
-        arms = [ikjax.robots.get(name) for name in ikjax.robots.names()]
+    words = options.find if options.find is not None else _as_words(options)
+    if words is not None:
+        arms = [ikjax.robots.get(name) for name in ikjax.robots.find(*words)]
+        if not arms:
+            raise ValueError(f"no arm of the catalogue has {' and '.join(words)}")
         lines = [f"{arm.name:20} {arm.kinds:7} {arm.family}" for arm in arms]
         catalogue = {arm.name: {"kinds": arm.kinds, "family": arm.family} for arm in arms}
         print_result(options, "\n".join(lines), catalogue)
@@ -31,6 +36,15 @@ def run_info(options) -> int:
     named = {name: {"q": q, "xyz": flanges[name]} for name, q in poses.items()}
     print_result(options, "\n".join(lines), {**arm_data(arm), "poses": named})
     return 0
+
+
+def _as_words(options) -> tuple[str, ...] | None:
+    """The words to look for in the catalogue: none at all, or one that is no arm and no file."""
+    name = options.arm
+    if name is None:
+        return ()
+    is_arm = name in ikjax.robots.names() or os.path.exists(name)
+    return (name,) if not is_arm and name.isalnum() and ikjax.robots.find(name) else None
 
 
 def _units(units: list[str]) -> str:

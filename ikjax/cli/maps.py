@@ -21,13 +21,7 @@ from ikjax.maps.sweep import SweepStoppedError
 def _requested_study(options) -> study_file.Study:
     """The study that a file or the options describe."""
     if is_study(options.arm):
-        names = ["spacing", "orientations", "free_rolls", "redundancy_samples", "other_dtype", "certify"]
-        names += ["statistics", "title"]
-        given = ["--float64" if name == "other_dtype" else f"--{name.replace('_', '-')}" for name in names
-                 if getattr(options, name)]  # fmt: skip
-        for flag in (*given, *whole_arm.given_options(options)):
-            raise ValueError(f"{flag} is for {options.arm} to say")
-        return study_file.read(options.arm)
+        return study_file.read(options.arm, options)
     if options.certify and options.other_dtype:
         raise ValueError("--certify is for float32 sweeps; --float64 needs none")
     arm = whole_arm.from_options(options, options.arm)

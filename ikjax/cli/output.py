@@ -29,4 +29,6 @@ def with_flags(options, text: str) -> str:
     """The library's text, with --tip for tip= where the command has that option."""
     if not hasattr(options, "tip") or is_study(options.arm):
         return text
+    # A command names a frame of a MuJoCo model as it names a link.
+    text = text.replace("site= or body=", "tip=")
     return re.sub(rf"\b({'|'.join(KEYS)})=(:?)", lambda m: f"--{m[1].replace('_', '-')}{m[2] or ' '}", text)

@@ -2,7 +2,7 @@
 
 import argparse
 import math
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import ikjax
 from ikjax.cli import whole_arm
@@ -11,12 +11,13 @@ from ikjax.cli.completion import SHELLS, run_completion
 from ikjax.cli.info import run_convert, run_info
 from ikjax.cli.maps import run_sweep
 from ikjax.cli.new_study import run_study
-from ikjax.cli.show import run_show
+from ikjax.cli.show import run_show, run_view
 from ikjax.cli.solving import run_project, run_solve, run_track
 from ikjax.cli.stop import OTHERS_ENDED, TIME_IS_UP
+from ikjax.cli.synthesis import run_design, run_place
 from ikjax.core.text import one_line
 
-ARM_HELP = "an arm of the catalogue, or a URDF file"
+ARM_HELP = "an arm of the catalogue, or a URDF or MJCF file"
 
 GOALS_HELP = (
     "CSV with columns x, y, z and roll, pitch, yaw or qw, qx, qy, qz, a unit such as [mm] behind a name; "
@@ -75,9 +76,17 @@ def build_parser() -> argparse.ArgumentParser:
         parser.set_defaults(run=run)
         return parser
 
-    info = command(run_info, "info", "List the catalogue, or describe one arm.")
-    info.add_argument("arm", nargs="?", help=ARM_HELP)
+    info = command(run_info, "info", "List the catalogue or a part of it, or describe one arm.")
+    info.add_argument("arm", nargs="?", help=f"{ARM_HELP}; or a word of names, titles and makers: ur, kuka")
+    info.add_argument("--find", nargs="+", metavar="WORD", help="list the arms that have each of these words")
     whole_arm.add_options(info)
+
+    view = command(run_view, "view", "Show an arm in a browser: joints, a goal to drag, branches to pick.")
+    view.add_argument("arm", help=ARM_HELP)
+    view.add_argument("--map", metavar="MAP", help="a stored map of the arm to show beside it")
+    view.add_argument("--no-meshes", action="store_true", help="do not show a URDF file's meshes")
+    view.add_argument("--port", type=int, default=8080, help="on 127.0.0.1, 8080 by default")
+    whole_arm.add_options(view)
 
     convert = command(run_convert, "convert", "Print an arm as a call of Arm.from_dh.")
     convert.add_argument("arm", help=ARM_HELP)
@@ -147,6 +156,34 @@ def build_parser() -> argparse.ArgumentParser:
     sweep.add_argument("--certify", action="store_true", help="solve uncertain goals again in float64")
     whole_arm.add_options(sweep)
 
+    place = command(run_place, "place", "Where an arm should stand for its goals.")
+    _add_study_or_arm(place)
+    place.add_argument("--move", nargs="+", metavar="MOVE", help="of x, y, z, turn, tilt and rail; x y turn")
+    place.add_argument("--bounds", nargs="+", metavar="MOVE=LOW:HIGH", help="of moves [m, deg]")
+    place.add_argument("--spacing", type=_size, help="of the candidates [m]")
+    place.add_argument("--turns", type=_count, metavar="N", help="candidates of the turn, 12 by default")
+    place.add_argument("--keep", type=_count, metavar="N", help="most places to list, 5 by default")
+    box: dict[str, Any] = {"nargs": 6, "type": float, "metavar": ("X", "Y", "Z", "X2", "Y2", "Z2")}
+    place.add_argument("--keep-out", action="append", **box, help="a box for no base [m]; may be repeated")
+    place.add_argument("--parts", metavar="FILE", help="points (.csv) or triangles (.stl) to keep away from")
+    place.add_argument("--clearance", type=_size, help="from boxes and parts [m]")
+    place.add_argument("--rail", **box, help="two ends of a level rail, for the move rail [m]")
+    place.add_argument("--starts", type=_count, metavar="N", help="candidates that are polished, 16")
+    place.add_argument("--steps", type=int, metavar="N", help="of each, 60; 0 for none")
+    whole_arm.add_options(place)
+
+    design = command(run_design, "design", "Vary some numbers of an arm so that it serves its goals better.")
+    _add_study_or_arm(design)
+    design.add_argument("--vary", nargs="+", metavar="NAME=LOW:HIGH", help="a2, tool.z, ... [m, deg]")
+    design.add_argument("--objective", help="coverage, dexterous_share, worst_margin, mean_manipulability")
+    design.add_argument("--ties", nargs="+", metavar="EQUATION", help='such as "a2 + d4 = 0.8"')
+    design.add_argument("--constraints", nargs="+", metavar="INEQUALITY", help='such as "a2 + d4 <= 0.8"')
+    design.add_argument("--starts", type=_count, metavar="N", help="8 by default")
+    design.add_argument("--steps", type=_count, metavar="N", help="of each start, 200 by default")
+    design.add_argument("--local-search", type=int, metavar="N", help="arms tried near the best, 0")
+    design.add_argument("--seed", type=int, help="of the random starts, 0 by default")
+    whole_arm.add_options(design)
+
     study = command(run_study, "study", "Write a study file, or list what may stand in one.")
     study.add_argument("action", choices=["new", "keys", "statistics"], help="new writes a commented study")
     study.add_argument("file", nargs="?", default="study.toml", help="of `new`; - for standard output")
@@ -174,6 +211,17 @@ def build_parser() -> argparse.ArgumentParser:
     completion = command(run_completion, "completion", "Print a script that completes words in a shell.")
     completion.add_argument("shell", choices=SHELLS, help="for example: source <(ikjax completion bash)")
     return top
+
+
+def _add_study_or_arm(parser: argparse.ArgumentParser) -> None:
+    """Arm, goals and tasks of `place` and `design`."""
+    parser.add_argument("arm", metavar="ARM|STUDY.toml", help=f"{ARM_HELP}, or a study file")
+    parser.add_argument("--goals", metavar="GOALS.csv", help=GOALS_HELP)
+    _add_turn(parser, "that of goals that have a position alone")
+    parser.add_argument("--free-rolls", type=_count, metavar="N", help="turns about the tool, one must do")
+    parser.add_argument("--cone", type=float, metavar="ANGLE", help="the tool's axis may lean so far [deg]")
+    parser.add_argument("--redundancy-samples", type=_count, metavar="N", help="of redundant joints, 16")
+    parser.add_argument("--no-limits", action="store_true", help="leave the joint limits out")
 
 
 def _add_goals(parser: argparse.ArgumentParser) -> None:

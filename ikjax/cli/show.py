@@ -39,6 +39,34 @@ def run_show(options) -> int:
     return report(options, maps[-1], then, options.map, options.page, asked)
 
 
+def run_view(options) -> int:
+    """An arm in a browser until Ctrl-C; a URDF file's meshes too, where they are there and yourdfpy is."""
+    arm = whole_arm.from_options(options, options.arm)
+    reach = ikjax.ReachMap.load(options.map) if options.map else None
+    from ikjax.plot.arm_viewer import ArmViewer
+
+    urdf = None if options.no_meshes else _with_meshes(options)
+    print("compiling; Ctrl-C ends it", file=sys.stderr, flush=True)
+    # At any moment: also while the first solution compiles.
+    with contextlib.suppress(KeyboardInterrupt):
+        ArmViewer(arm, port=options.port, reach=reach, urdf=urdf).run()
+    return 0
+
+
+def _with_meshes(options) -> Any:
+    """The `yourdfpy.URDF` of a file with its meshes; None of another arm, or where they cannot be loaded."""
+    if not options.arm.lower().endswith(".urdf") or options.mount is not None:
+        return None
+    try:
+        import yourdfpy
+
+        urdf = yourdfpy.URDF.load(options.arm)
+        return urdf if urdf.scene.geometry else None
+    except Exception as error:  # of yourdfpy and of whatever reads meshes: the arm is shown without
+        print_error(f"without meshes: {error}")
+        return None
+
+
 def _stem(name: str) -> str:
     """The name of a map's files in the working folder: map for here/map.zarr."""
     last = pathlib.PurePosixPath(urllib.parse.urlsplit(str(name).rstrip("/")).path).name

@@ -61,22 +61,14 @@ def _joints(options, arm: ikjax.Arm, name: str, count: int | None = None) -> np.
     return np.asarray(given) / (scales if count is None else scales[list(arm.locked)])
 
 
-def _turn(options) -> dict[str, Any]:
-    """The orientation that the options give, as an argument of `ikjax.pose`."""
-    unit = whole_arm.angle_unit(options)
-    forms = {"rpy": unit, "wxyz": 1.0, "xyzw": 1.0, "rotvec": unit}
-    given = {form: getattr(options, form) for form in forms}
-    return {form: np.asarray(x) * forms[form] for form, x in given.items() if x is not None}
-
-
 def _goals(options, arm: ikjax.Arm) -> tuple[np.ndarray, bool]:
     """The goals (n, 4, 4) of the options, and whether they come from a file."""
     if (options.xyz is None) == (options.goals is None):
         raise ValueError("give a goal with --xyz, or a CSV file of goals with --goals")
     if options.goals is not None:
-        goals = table.read_goals(options.goals, whole_arm.angle_unit(options), _turn(options))
+        goals = table.read_goals(options.goals, whole_arm.angle_unit(options), whole_arm.turn_of(options))
     else:
-        goals = np.asarray(ikjax.pose(options.xyz, **_turn(options)))[None]
+        goals = np.asarray(ikjax.pose(options.xyz, **whole_arm.turn_of(options)))[None]
     goals = goals.astype(np.float32 if options.other_dtype else np.float64)
     ikjax.check_goals(arm, goals)
     return goals, options.goals is not None
@@ -241,7 +233,7 @@ def run_project(options) -> int:
 
 def run_track(options) -> int:
     arm = whole_arm.from_options(options, options.arm)
-    turn = _turn(options)
+    turn = whole_arm.turn_of(options)
     goals = table.read_goals(options.goals, whole_arm.angle_unit(options), turn)
     goals = goals.astype(np.float32 if options.other_dtype else np.float64)
     ikjax.check_goals(arm, goals)

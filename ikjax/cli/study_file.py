@@ -1,14 +1,16 @@
 """A study as a TOML file: which arm, where, in which orientations, and which statistics.
 
 A file is data: unknown keys are refused, and a path in it starts from the file's own folder. `MANUAL` lists
-the keys; `ikjax study keys` prints it.
+the keys; `ikjax study keys` prints it. What a command's options say counts before what the file says.
+`sections` reads the tables [place] and [design].
 """
 
 import dataclasses
 import math
 import pathlib
 import tomllib
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -51,6 +53,38 @@ title = "long drill"            # for pictures and pages; by default the arm's n
 chunk = [32, 32, 32]            # positions of a work unit
 dtype = "float32"               # or "float64"
 certify = true                  # goals uncertain in float32 again in float64; false by default
+
+# For `ikjax place` and `ikjax design`, which need neither positions nor orientations:
+goals = "holes.csv"             # poses of the tool; of a file of positions alone
+                                # { file = "holes.csv", rpy = [180, 0, 0] }, or wxyz, xyzw, rotvec
+alternatives = { cone = { direction = [0, 0, 1], half_angle = 20, directions = 16 } }
+                                # what the tool may be turned by, of which one must do: here a tool axis that
+                                # may lean; a number for even rotations, where only the point matters
+
+[place]                         # where the robot should stand; every key may be left out
+move = ["x", "y", "turn"]       # and z, tilt, rail
+bounds = { x = [-1, 1], turn = [-90, 90] }       # [m, angle]; or several regions [{ x = ... }, { x = ... }]
+spacing = 0.1                   # of the candidates [m]
+turns = 12                      # candidates of the turn
+keep = 5                        # most places to list
+keep_out = [[[-1, -1, 0], [0, 1, 1]]]            # boxes, lower corner first [m]
+parts = "part.stl"              # what to keep away from, or "points.csv"
+clearance = 0.1                 # so far [m]
+rail = [[0, 0, 0], [3, 0, 0]]   # two ends of a level rail [m]
+limits = true                   # whether joint limits count
+starts = 16                     # best candidates that are polished
+steps = 60                      # of each; 0 for none
+
+[design]                        # what of the arm should change; vary is needed
+vary = { a2 = [0.2, 0.6], "tool.z" = [0, 0.3] }  # between which bounds [m, angle]
+objective = "coverage"          # or dexterous_share, worst_margin, mean_manipulability
+ties = ["a2 + d4 = 0.8"]        # equations that always hold
+constraints = ["a2 + d4 <= 0.8"]
+limits = true
+starts = 8
+steps = 200
+local_search = 0                # arms near the best that are tried at the end
+seed = 0
 """
 """Every key of a study file, each with a comment; not a study itself."""
 
@@ -81,12 +115,16 @@ statistics = ["reachable", "reachable_within", "solutions", "solutions_within", 
 KEYS = (
     *("angles", "arm", *whole_arm.KEYS, "limits", "spacing", "bounds", "shell", "surface", "orientations"),
     *("free_rolls", "redundancy_samples", "statistics", "title", "chunk", "dtype", "certify"),
+    *("goals", "alternatives", "place", "design"),
 )
 RENAMED = {"tolerance": "axis_tolerance", "rolls": "free_rolls"}
 """Keys of older files, and what they are called now."""
 
 MOST_BYTES = 2**24
 """Largest file that is read."""
+
+
+Parsed = TypeVar("Parsed")
 
 
 class Study(NamedTuple):
@@ -104,14 +142,62 @@ class Study(NamedTuple):
     title: str | None = None
 
 
-def read(path) -> Study:
+OPTIONS = ("spacing", "orientations", "free_rolls", "redundancy_samples", "statistics", "title", "certify")
+"""Options of a command that stand for the key of the same name."""
+
+
+class Document(NamedTuple):
+    """A study file, read but for what its keys say, and the options of a command beside it."""
+
+    entries: dict[str, Any]
+    folder: pathlib.Path
+    """Where paths start."""
+    options: Any
+    """Of the command, or None; they count before the entries."""
+
+    @property
+    def unit(self) -> float:
+        """One unit of the file's angles [rad]."""
+        return _angle_unit(self.entries.get("angles", "radians"))
+
+    def arm(self) -> Arm:
+        """The arm as it stands.
+
+        Raises:
+            ValueError, OSError: As `read`.
+        """
+        return _arm(self.entries, self.folder, self.unit, self.options)
+
+    def section(self, name: str) -> dict[str, Any]:
+        """The table of that name; empty where there is none."""
+        table = self.entries.get(name, {})
+        if not isinstance(table, dict):
+            raise ValueError(f"{name} must be a table, got {table!r}")
+        return table
+
+
+def read(path, options=None) -> Study:
     """The study in a file.
+
+    Args:
+        path: Of the file.
+        options: Of a command, which count before what the file says.
 
     Raises:
         ValueError: No TOML, a key that is unknown or missing, a value of another kind: the message names
             the file, the key, what was expected and what came.
         OSError: No such file.
     """
+    return parsed(path, options, _study)
+
+
+def arm_of(path, options=None) -> Arm:
+    """The arm of a study file; arguments and errors as `read`."""
+    return parsed(path, options, Document.arm)
+
+
+def parsed(path, options, parse: Callable[[Document], Parsed]) -> Parsed:
+    """What `parse` makes of a file; its errors name the file."""
     path = pathlib.Path(path)
     if path.stat().st_size > MOST_BYTES:
         raise ValueError(f"{path}: more than {MOST_BYTES} bytes are no study")
@@ -120,34 +206,39 @@ def read(path) -> Study:
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{path}: no TOML: {error}") from error
     try:
-        return _parsed(entries, path.parent)
+        _check_keys(entries)
+        for key in OPTIONS:
+            if getattr(options, key, None) not in (None, False):
+                entries[key] = getattr(options, key)
+        if getattr(options, "other_dtype", False):
+            entries["dtype"] = "float64"
+        return parse(Document(entries, path.parent, options))
     except (ValueError, TypeError, OverflowError) as error:
         raise ValueError(f"{path}: {error}") from error
 
 
-def _parsed(entries: dict, folder: pathlib.Path) -> Study:
+def _check_keys(entries: dict) -> None:
     for key in entries:
         if key in RENAMED:
             raise ValueError(f"{key!r} is called {RENAMED[key]!r} now")
         if key not in KEYS:
             raise ValueError(f"no key {key!r}; the keys are {', '.join(KEYS)}")
-    for key in ("arm", "orientations"):
-        if key not in entries:
-            raise ValueError(f"{key} is missing")
+    if "arm" not in entries:
+        raise ValueError("arm is missing")
     if not isinstance(entries["arm"], str):
         raise ValueError(f'arm must be a name or a file, as in "puma560", got {entries["arm"]!r}')
-    unit = _angle_unit(entries.get("angles", "radians"))
-    arm = _arm(entries, folder, unit)
+
+
+def _study(document: Document) -> Study:
+    entries, folder, unit = document.entries, document.folder, document.unit
+    if "orientations" not in entries:
+        raise ValueError("orientations is missing")
+    arm = document.arm()
     positions = _positions(entries, arm, folder)
     statistics, known = entries.get("statistics", list(STATISTICS)), available(len(arm.locked) == 1)
     if not isinstance(statistics, list) or not all(name in known for name in statistics) or not statistics:
         raise ValueError(f"statistics must be a list of {', '.join(known)}, got {statistics!r}")
-    free_rolls = entries.get("free_rolls", 1)
-    if not _is_count(free_rolls):
-        raise ValueError(f"free_rolls must be a whole number above zero, got {free_rolls!r}")
-    samples = entries.get("redundancy_samples")
-    if samples is not None and not _is_count(samples):
-        raise ValueError(f"redundancy_samples must be a whole number above zero, got {samples!r}")
+    free_rolls, samples = trials_of(entries)
     dtype = entries.get("dtype", "float32")
     if dtype not in ("float32", "float64"):
         raise ValueError(f'dtype must be "float32" or "float64", got {dtype!r}')
@@ -159,51 +250,65 @@ def _parsed(entries: dict, folder: pathlib.Path) -> Study:
     chunk = entries.get("chunk")
     axes = len(positions.shape)
     if chunk is not None and not (
-        isinstance(chunk, list) and len(chunk) == axes and all(map(_is_count, chunk))
+        isinstance(chunk, list) and len(chunk) == axes and all(map(is_count, chunk))
     ):
         raise ValueError(f"chunk must be {axes} whole numbers above zero, got {chunk!r}")
     chunk = None if chunk is None else tuple(chunk)
-    turns = _orientations(entries["orientations"], unit)
+    turns = orientations_of("orientations", entries["orientations"], unit)
     title = entries.get("title")
-    if not (title is None or _is_text(title)):
+    if not (title is None or is_text(title)):
         raise ValueError(f"title must be a text, got {title!r}")
     return Study(arm, positions, turns, free_rolls, tuple(statistics), chunk, dtype, certify, samples, title)
+
+
+def trials_of(entries: dict) -> tuple[int, int | None]:
+    """Free rolls, and values of redundant joints."""
+    free_rolls = entries.get("free_rolls", 1)
+    if not is_count(free_rolls):
+        raise ValueError(f"free_rolls must be a whole number above zero, got {free_rolls!r}")
+    samples = entries.get("redundancy_samples")
+    if samples is not None and not is_count(samples):
+        raise ValueError(f"redundancy_samples must be a whole number above zero, got {samples!r}")
+    return free_rolls, samples
 
 
 def _angle_unit(angles) -> float:
     """One unit of the file's angles [rad]."""
     units = {"radians": 1.0, "degrees": math.pi / 180}
-    if not (_is_text(angles) and angles in units):
+    if not (is_text(angles) and angles in units):
         raise ValueError(f'angles must be "degrees" or "radians", got {angles!r}')
     return units[angles]
 
 
-def _arm(entries: dict, folder: pathlib.Path, unit: float) -> Arm:
-    """The arm as the file says it stands."""
-    kinds = {"base": _is_text, "tip": _is_text, "axis_tolerance": _is_number, "fixed_joints": _is_values}
+def _arm(entries: dict, folder: pathlib.Path, unit: float, options=None) -> Arm:
+    """The arm as the file says it stands, but for what the options say."""
+    kinds = {"base": is_text, "tip": is_text, "axis_tolerance": is_number, "fixed_joints": _is_values}
     for key, kind in kinds.items():
         if key in entries and not kind(entries[key]):
             raise ValueError(f"{key} is of the wrong kind: {entries[key]!r}")
     given = {key: entries.get(key) for key in kinds}
     for key in ("tool", "mount"):
-        given[key] = _pose(key, entries[key], unit) if key in entries else None
-    arm = whole_arm.find_arm(entries["arm"], folder, angle=unit, **given)
+        given[key] = pose_from(key, entries[key], unit) if key in entries else None
+    said = {} if options is None else whole_arm.given_by(options)
+    # Angles of fixed joints are in the unit of whoever says them.
+    angle = whole_arm.angle_unit(options) if "fixed_joints" in said else unit
+    arm = whole_arm.find_arm(entries["arm"], folder, angle=angle, **{**given, **said})
     return _with_limits(arm, entries.get("limits"), unit)
 
 
-def _pose(key: str, value, unit: float) -> np.ndarray:
+def pose_from(key: str, value, unit: float) -> np.ndarray:
     """A pose (4, 4) from a list of numbers or a table."""
     if isinstance(value, list):
-        numbers = _numbers(key, value, (3,) if len(value) == 3 else (6,))
+        numbers = numbers_of(key, value, (3,) if len(value) == 3 else (6,))
         return whole_arm.six_numbers(key, numbers, unit)
     turns = {"rpy": (3,), "wxyz": (4,), "xyzw": (4,), "rotvec": (3,)}
-    table = _table(key, value, {"xyz": (3,), **turns}, needs=())
+    table = checked_table(key, value, {"xyz": (3,), **turns}, needs=())
     table |= {form: table[form] * unit for form in ("rpy", "rotvec") if form in table}
     return np.asarray(pose(table.pop("xyz", np.zeros(3)), **table), float)
 
 
 def _is_values(value) -> bool:
-    return isinstance(value, dict) and bool(value) and all(map(_is_number, value.values()))
+    return isinstance(value, dict) and bool(value) and all(map(is_number, value.values()))
 
 
 def _positions(entries: dict, arm: Arm, folder: pathlib.Path) -> Grid | Shell | Surface:
@@ -213,23 +318,23 @@ def _positions(entries: dict, arm: Arm, folder: pathlib.Path) -> Grid | Shell | 
     if "bounds" in entries and given != ["spacing"]:
         raise ValueError(f"bounds go with spacing, not with {given[0]}")
     if given == ["shell"]:
-        kinds = {"center": (3,), "radii": None, "directions": _is_count}
-        table = _table("shell", entries["shell"], kinds, needs=("center", "radii", "directions"))
+        kinds = {"center": (3,), "radii": None, "directions": is_count}
+        table = checked_table("shell", entries["shell"], kinds, needs=("center", "radii", "directions"))
         return shell(table["center"], table["radii"], table["directions"])
     if given == ["surface"]:
-        kinds = {"file": _is_text, "scale": _is_number, "spacing": _is_number}
-        table = _table("surface", entries["surface"], kinds, needs=("file",))
+        kinds = {"file": is_text, "scale": is_number, "spacing": is_number}
+        table = checked_table("surface", entries["surface"], kinds, needs=("file",))
         return surface(folder / table.pop("file"), **table)
     spacing = entries["spacing"]
-    if not _is_number(spacing):
+    if not is_number(spacing):
         raise ValueError(f"spacing must be a number of metres, got {spacing!r}")
     if "bounds" not in entries:
         return around(arm, spacing)
-    lower, upper = _numbers("bounds", entries["bounds"], (2, 3))
+    lower, upper = numbers_of("bounds", entries["bounds"], (2, 3))
     return grid(lower, upper, spacing)
 
 
-def _table(name: str, entries, kinds: dict[str, Any], needs: tuple[str, ...]) -> dict[str, Any]:
+def checked_table(name: str, entries, kinds: dict[str, Any], needs: tuple[str, ...]) -> dict[str, Any]:
     """A table's entries, checked: a kind is a test of a value, or an array's shape, None for any."""
     for old, new in (("centre", "center"), ("rolls", "turns")):
         if isinstance(entries, dict) and old in entries and new in kinds:
@@ -245,7 +350,7 @@ def _table(name: str, entries, kinds: dict[str, Any], needs: tuple[str, ...]) ->
             checked[key] = value
         else:
             shape = (len(value) if isinstance(value, list) else 1,) if kind is None else kind
-            checked[key] = _numbers(f"{name}.{key}", value, shape)
+            checked[key] = numbers_of(f"{name}.{key}", value, shape)
     return checked
 
 
@@ -255,43 +360,44 @@ def _with_limits(arm: Arm, limits, unit: float) -> Arm:
     if limits is False:
         limits = np.tile([-np.inf, np.inf], (arm.n, 1))
     else:
-        limits = _numbers("limits", limits, (arm.n, 2))
+        limits = numbers_of("limits", limits, (arm.n, 2))
         limits = limits * np.where([kind == "R" for kind in arm.kinds], unit, 1.0)[:, None]
     return dataclasses.replace(arm, limits=dh.check_limits(limits, arm.kinds))
 
 
-def _orientations(entries, unit: float) -> Any:
-    if _is_count(entries):
+def orientations_of(key: str, entries, unit: float) -> Any:
+    """A set of orientations from the value of a key."""
+    if is_count(entries):
         return entries
     if isinstance(entries, dict) and list(entries) == ["wxyz"]:
         rows = entries["wxyz"]
-        wxyz = _numbers("orientations.wxyz", rows, (len(rows) if isinstance(rows, list) else 1, 4))
+        wxyz = numbers_of(f"{key}.wxyz", rows, (len(rows) if isinstance(rows, list) else 1, 4))
         return np.asarray(pose(np.zeros((len(wxyz), 3)), wxyz=wxyz))[:, :3, :3]
     if isinstance(entries, dict) and list(entries) == ["hopf"]:
         return hopf(entries["hopf"])
     if isinstance(entries, dict) and list(entries) == ["cone"]:
-        kinds = {"direction": (3,), "half_angle": _is_number, "directions": _is_count, "turns": _is_count}
-        table = _table("orientations.cone", entries["cone"], kinds, needs=tuple(kinds)[:3])
+        kinds = {"direction": (3,), "half_angle": is_number, "directions": is_count, "turns": is_count}
+        table = checked_table(f"{key}.cone", entries["cone"], kinds, needs=tuple(kinds)[:3])
         return cone(**{**table, "half_angle": table["half_angle"] * unit})
     raise ValueError(
-        f"orientations must be a whole number above zero or a table such as {{ wxyz = [[1, 0, 0, 0]] }}, "
+        f"{key} must be a whole number above zero or a table such as {{ wxyz = [[1, 0, 0, 0]] }}, "
         f"{{ hopf = 2 }} or {{ cone = {{ ... }} }}, got {entries!r}"
     )
 
 
-def _is_text(value) -> bool:
+def is_text(value) -> bool:
     return isinstance(value, str)
 
 
-def _is_number(value) -> bool:
+def is_number(value) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def _is_count(value) -> bool:
+def is_count(value) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and value > 0
 
 
-def _numbers(key: str, value, shape: tuple[int, ...]) -> np.ndarray:
+def numbers_of(key: str, value, shape: tuple[int, ...]) -> np.ndarray:
     try:
         array = np.array(value)
     except ValueError:

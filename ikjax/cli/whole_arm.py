@@ -25,6 +25,7 @@ from ikjax.arm import robots
 from ikjax.arm.arm import Arm
 from ikjax.arm.axes_to_dh import Axes, rewritten
 from ikjax.arm.forward import frames
+from ikjax.arm.load import is_mujoco
 from ikjax.arm.recognition import lock, recognize
 from ikjax.core.pose import pose
 from ikjax.core.tolerances import AXIS_LADDER, FACT
@@ -57,26 +58,35 @@ def angle_unit(options) -> float:
     return 1.0 if options.radians else math.pi / 180
 
 
+def turn_of(options) -> dict[str, Any]:
+    """The orientation that the options of a goal give, as an argument of `ikjax.pose`."""
+    forms = {"rpy": angle_unit(options), "wxyz": 1.0, "xyzw": 1.0, "rotvec": angle_unit(options)}
+    given = {form: getattr(options, form) for form in forms}
+    return {form: np.asarray(x) * forms[form] for form, x in given.items() if x is not None}
+
+
 def from_options(options, name: str) -> Arm:
-    """The arm of that name or file, as the options of a command say.
+    """The arm of that name, file or study file, as the options of a command say.
 
     Raises:
         ValueError, OSError: As `find_arm`.
     """
-    unit = angle_unit(options)
-    given = {key: getattr(options, key) for key in KEYS}
+    if name.lower().endswith(".toml"):
+        from ikjax.cli.study_file import arm_of
+
+        return arm_of(name, options)
+    return find_arm(name, angle=angle_unit(options), **given_by(options))
+
+
+def given_by(options) -> dict[str, Any]:
+    """What the options of `add_options` say of the arm, as arguments of `find_arm`."""
+    given = {key: value for key in KEYS if (value := getattr(options, key, None)) is not None}
     for key in ("tool", "mount"):
-        if given[key] is not None:
-            given[key] = six_numbers(f"{key}=", given[key], unit)
-    if given["fixed_joints"] is not None:
+        if key in given:
+            given[key] = six_numbers(f"{key}=", given[key], angle_unit(options))
+    if "fixed_joints" in given:
         given["fixed_joints"] = dict(map(_named_value, given["fixed_joints"]))
-    return find_arm(name, angle=unit, **given)
-
-
-def given_options(options) -> list[str]:
-    """The options of `add_options` that a command was given, as they are typed."""
-    keys = [key for key in (*KEYS, "radians") if getattr(options, key) not in (None, False)]
-    return [f"--{key.replace('_', '-')}" for key in keys]
+    return given
 
 
 def six_numbers(name: str, values, unit: float) -> np.ndarray:
@@ -110,9 +120,10 @@ def find_arm(
     mount: np.ndarray | None = None,
     angle: float = 1.0,
 ) -> Arm:
-    """An arm of the catalogue, or of a URDF file, as it stands in the cell.
+    """An arm of the catalogue, or of a file, as it stands in the cell.
 
     A name that is not in the catalogue is a file's name if the file exists or the name ends in .urdf or .xml.
+    Of a MuJoCo model, `tip` is a site or a body, and `base` a body.
 
     Args:
         name: Of the arm, or the path of the file.
@@ -133,7 +144,7 @@ def find_arm(
     path = pathlib.Path(name) if folder is None else folder / name
     known = name in robots.names()
     if not known and (name.lower().endswith((".urdf", ".xml")) or os.path.isfile(path)):
-        arm = Arm.from_urdf(path, **options)
+        arm = _of_file(path, options)
     elif known and options:
         raise ValueError(f"{'= and '.join(options)}= goes with a URDF file, {name} is of the catalogue")
     else:
@@ -148,6 +159,22 @@ def find_arm(
     if mount is not None:
         arm = dataclasses.replace(arm, base=np.asarray(mount, arm.dtype) @ np.asarray(arm.base))
     return arm
+
+
+def _of_file(path: pathlib.Path, options: dict[str, Any]) -> Arm:
+    """The arm of a URDF file or of a MuJoCo model."""
+    if not is_mujoco(str(path)):
+        return Arm.from_urdf(path, **options)
+    tip = options.pop("tip", None)
+    if tip is None:
+        return Arm.from_mujoco(str(path), **options)
+    try:
+        return Arm.from_mujoco(str(path), site=tip, **options)
+    except ValueError as no_site:
+        try:
+            return Arm.from_mujoco(str(path), body=tip, **options)
+        except ValueError:
+            raise no_site from None
 
 
 def with_tool(arm: Arm, T_tip_tool: np.ndarray) -> Arm:

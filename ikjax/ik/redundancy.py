@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -14,6 +15,10 @@ from ikjax.core import pose as poses
 from ikjax.core.xla import is_traced
 from ikjax.ik.results import Solutions
 from ikjax.ik.solve import solve
+
+Judge = Callable[[Solutions], Solutions]
+"""What is done with the solutions of each trial, such as `within_limits`: before they are joined, because
+its program grows with the number of slots."""
 
 Array = Any
 """Of numpy where the arm's limits are known: they stay known in a jit."""
@@ -87,7 +92,11 @@ def checked_samples(arm: Arm, samples: int | None, default: int) -> int:
 
 
 def solve_alternatives(
-    arm: Arm, goals: jax.Array, alternatives: jax.Array | np.ndarray | None, samples: int
+    arm: Arm,
+    goals: jax.Array,
+    alternatives: jax.Array | np.ndarray | None,
+    samples: int,
+    judge: Judge | None = None,
 ) -> Solutions:
     """`solve_at_samples` of goals of which each may be met in several ways.
 
@@ -96,13 +105,14 @@ def solve_alternatives(
         goals: (..., 4, 4).
         alternatives: (m, 4, 4) what the tool may be turned by in its own frame; None for the goal alone.
         samples: Values of each redundant joint.
+        judge: Of the solutions at each value, before they are joined.
 
     Returns:
         `Solutions` (...) with m times as many slots: those of the first alternative come first.
     """
     if alternatives is None:
-        return solve_at_samples(arm, goals, samples)
-    return joined_alternatives(solve_at_samples(arm, turned_goals(goals, alternatives), samples))
+        return solve_at_samples(arm, goals, samples, judge)
+    return joined_alternatives(solve_at_samples(arm, turned_goals(goals, alternatives), samples, judge))
 
 
 def turned_goals(goals: jax.Array, alternatives: jax.Array | np.ndarray) -> jax.Array:
@@ -126,28 +136,34 @@ def pose_product(first: jax.Array, second: jax.Array) -> jax.Array:
     return poses.to_matrix(poses.compose(a, b))
 
 
-def solve_at_samples(arm: Arm, goals: jax.Array, samples: int) -> Solutions:
+def solve_at_samples(arm: Arm, goals: jax.Array, samples: int, judge: Judge | None = None) -> Solutions:
     """`solve`, at `middles` of the redundant joints if there are any.
 
     Args:
         arm: The arm.
         goals: (..., 4, 4).
         samples: Values of each redundant joint.
+        judge: Of the solutions at each value, before they are joined.
 
     Returns:
         `Solutions` with as many slots as there are branches at all values: those of the first value come
         first. Derivatives are those at fixed values.
     """
+
+    def judged(arm: Arm, goals: jax.Array, **redundancy) -> Solutions:
+        sol = solve(arm, goals, **redundancy)
+        return sol if judge is None else judge(sol)
+
     if not arm.locked:
-        return solve(arm, goals)
+        return judged(arm, goals)
     values = jnp.asarray(middles(arm.baked(), samples, goals.dtype))
     values = values if len(arm.locked) > 1 else values[:, 0]
     if is_traced((arm, goals)):
         # In a loop, because the stack of all slots at all values would be computed number by number.
-        sol = jax.lax.map(lambda value: solve(arm, goals, redundancy=value), values)
+        sol = jax.lax.map(lambda value: judged(arm, goals, redundancy=value), values)
         sol = jax.tree.map(lambda x: jnp.moveaxis(x, 0, goals.ndim - 2), sol)
     else:
-        sol = solve(arm, goals[..., None, :, :], redundancy=values)
+        sol = judged(arm, goals[..., None, :, :], redundancy=values)
     batch = goals.shape[:-2]
     fields = {field.name: getattr(sol, field.name) for field in dataclasses.fields(sol)}
     is_pose, q = fields.pop("is_pose"), fields.pop("q")

@@ -3,7 +3,7 @@
 Joints in degrees, in the order of `joint_names`; those that are no joints of the arm, as a gripper's, are
 kept.
 
-Source of the interface: huggingface/lerobot, src/lerobot/model/kinematics.py.
+Source of the interface: huggingface/lerobot, src/lerobot/model/kinematics.py, commit 1d6bc9d.
 """
 
 import math

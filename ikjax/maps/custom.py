@@ -55,7 +55,7 @@ class Near:
 
     def channel(self) -> Channel:
         """Its channel in the loop."""
-        return Channel("count", self._is_near, any_trial=True, pinned=True)
+        return Channel("count", self._is_near, any_trial=True, pinned=True, needs_whole_arm=True)
 
     def _is_near(self, goal: Goal) -> jax.Array:
         """Whether some branch is within both tolerances, int32 (positions, orientations)."""

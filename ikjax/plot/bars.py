@@ -115,7 +115,7 @@ def limit_costs(reach, path=None):
         for k, share in enumerate(shares):
             text = {"textcoords": "offset points", "va": "center", "color": "#444444"}
             ax.annotate(f"{share:.2%}", (share, k), xytext=(4, 0), **text)
-        ax.set(yticks=range(len(names)), yticklabels=names, xlim=(0, 1.18 * max(float(shares.max()), 1e-3)))
+        ax.set(yticks=range(len(names)), yticklabels=names, xlim=(0, 1.18 * max(float(shares.max()), 1e-2)))
         ax.invert_yaxis()
         ax.set_xlabel("share of all goals lost to the limits of this joint alone")
         ax.xaxis.set_major_formatter("{x:.1%}")

@@ -63,6 +63,15 @@ class Slot(NamedTuple):
     """See `Branch.fold`."""
 
 
+class Measured(NamedTuple):
+    """What tolerances and margins are relative to, of an arm whose mount and tool are a part of the goal."""
+
+    reach: Scalar
+    """Of the arm with its tool [m]: margins are no greater."""
+    distance: Scalar
+    """Of the goal from the origin of the world [m]."""
+
+
 def as_solved(arm: Arm) -> Arm:
     """The arm, without a correction that is too small to decide `valid` in the arm's type.
 
@@ -170,6 +179,7 @@ def solve_scalars(
     fallback: tuple[Scalar, ...] | None = None,
     tolerance: float | None = None,
     free: tuple[Scalar, ...] = (),
+    of_whole: Measured | None = None,
 ) -> tuple[Slot, ...]:
     """Every slot for one goal, in scalars (or for many goals, one array a scalar).
 
@@ -179,15 +189,16 @@ def solve_scalars(
         fallback: Joint values where the goal leaves joints arbitrary; zero by default.
         tolerance: Overrides `VALID` for the goal's type.
         free: The values of the joints in `Arm.locked` [rad, m], or the arm angle [rad], finite.
+        of_whole: Of an arm without its mount and tool, whose goals are those of its tip.
 
     Returns:
         One `Slot` for each branch of the family, in slot order.
     """
     if KERNELS[str(arm.family)].stacked is not None:
-        return each_slot(solve_rows(arm, goal, fallback, tolerance, free))
+        return each_slot(solve_rows(arm, goal, fallback, tolerance, free, of_whole))
     tolerance = VALID[jnp.result_type(goal.position[0]).name] if tolerance is None else tolerance
     frame, tip, setting = _prepared(arm, goal, fallback, free)
-    allowed = tolerance * (1 + frame.per_reach * vector.norm(goal.position))
+    allowed = _allowed(frame, goal, tolerance, of_whole)
     turning = arm.task in TURNING
     family = KERNELS[str(arm.family)]
     both = allowed, tolerance
@@ -198,7 +209,8 @@ def solve_scalars(
         measured = list(zip(gaps, turns, strict=True))
     else:
         measured = [_mismatch(frame, family, branch) for branch in branches]
-    measure = _Measure(arm, frame, _motors(arm), both, _of_joints(arm, free))
+    cap = _margin_cap(frame, of_whole)
+    measure = _Measure(arm, frame, _motors(arm), both, _of_joints(arm, free), cap)
     return tuple(measure(branch, squares) for branch, squares in zip(branches, measured, strict=True))
 
 
@@ -208,6 +220,7 @@ def solve_rows(
     fallback: tuple[Scalar, ...] | None = None,
     tolerance: float | None = None,
     free: tuple[Scalar, ...] = (),
+    of_whole: Measured | None = None,
 ) -> Slot:
     """Every slot in one, whose numbers have the slots as their first axis, for a family with `stacked`.
 
@@ -217,14 +230,27 @@ def solve_rows(
     assert family.stacked is not None
     tolerance = VALID[dtype.name] if tolerance is None else tolerance
     if _is_wide(arm, dtype):
-        return _in_float64(arm, goal, fallback, tolerance, free)
+        return _in_float64(arm, goal, fallback, tolerance, free, of_whole)
     frame, tip, setting = _prepared(arm, goal, fallback, free)
-    allowed = tolerance * (1 + frame.per_reach * vector.norm(goal.position))
+    allowed = _allowed(frame, goal, tolerance, of_whole)
     given = Given(frame.links, frame.between, frame.tool_point)
     whole = family.stacked(arm.signs, frame.links, tip, setting)
     branch, squares = _finished(given, whole, tip, (allowed, tolerance), setting)
     frame, free = frame._replace(locked=_in_rows(frame.locked, branch)), _in_rows(free, branch)
-    return _Measure(arm, frame, _motors(arm), (jnp.asarray(allowed)[None], tolerance), free)(branch, squares)
+    both, cap = (jnp.asarray(allowed)[None], tolerance), _margin_cap(frame, of_whole)
+    return _Measure(arm, frame, _motors(arm), both, free, cap)(branch, squares)
+
+
+def _allowed(frame: Frame, goal: Pose, tolerance: float, of_whole: Measured | None) -> Scalar:
+    """How far the position of a valid answer may be off, in units of the reach."""
+    if of_whole is None:
+        return tolerance * (1 + frame.per_reach * vector.norm(goal.position))
+    return tolerance * frame.per_reach * (of_whole.reach + of_whole.distance)
+
+
+def _margin_cap(frame: Frame, of_whole: Measured | None) -> Scalar:
+    """The greatest margin, in units of the reach."""
+    return 1 if of_whole is None else frame.per_reach * of_whole.reach
 
 
 def _in_rows(values, rows: Branch):
@@ -271,10 +297,11 @@ def _in_float64(
     fallback: tuple[Scalar, ...] | None,
     tolerance: float,
     free: tuple[Scalar, ...],
+    of_whole: Measured | None,
 ) -> Slot:
     """The slots of a float32 goal, computed in float64."""
-    goal, fallback, free = _cast((goal, fallback, free), jnp.float64)
-    slot = solve_rows(arm.astype(jnp.float64), goal, fallback, tolerance, free)
+    goal, fallback, free, of_whole = _cast((goal, fallback, free, of_whole), jnp.float64)
+    slot = solve_rows(arm.astype(jnp.float64), goal, fallback, tolerance, free, of_whole)
 
     def narrow(x):
         return x.astype(jnp.float32) if hasattr(x, "astype") and x.dtype == jnp.float64 else x
@@ -293,6 +320,8 @@ class _Measure(NamedTuple):
     """Distance and angle of a valid pose, in units of the reach and rad."""
     free: tuple[Scalar, ...]
     """The values of the joints in `Arm.locked` [rad, m]."""
+    cap: Scalar
+    """The greatest margin, in units of the reach."""
 
     def __call__(self, branch: Branch, squares: tuple[Scalar, Scalar]) -> Slot:
         """The slot of a branch, with its squared errors: of tool point and rotation (Frobenius)."""
@@ -302,7 +331,7 @@ class _Measure(NamedTuple):
         # |R - S| = sqrt(8) sin(angle / 2) in the Frobenius norm, which is sqrt(2) angle for small angles.
         valid = (gap_squared <= length * length) & (turn_squared <= 2 * angle**2)
         half = safe.sqrt(jnp.minimum(turn_squared / 8, 1))
-        margin = jnp.minimum(branch.margin, 1)
+        margin = jnp.minimum(branch.margin, self.cap)
         if not isinstance(branch.miss, float):
             margin = jnp.where(valid, margin, jnp.minimum(margin, -branch.miss))
         return Slot(

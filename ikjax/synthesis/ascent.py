@@ -20,6 +20,7 @@ from ikjax.arm.arm import Arm
 from ikjax.arm.forward import reach
 from ikjax.ik.margins import limited_margins, smooth_max, smooth_min
 from ikjax.ik.redundancy import (
+    Judge,
     joined_alternatives,
     pose_product,
     solve_alternatives,
@@ -92,9 +93,8 @@ class DesignPlan:
         # The tool is turned before it is moved: alternatives are seen from the tool that varies.
         turned = goals if others is None else turned_goals(goals, others)
         moved = self.parameters.arm_and_goals(self.constant.arm, turned, self.parameters.values(z))
-        sol = solve_at_samples(*moved, self.samples)
+        sol = solve_at_samples(*moved, self.samples, _judge(arm, self.limits))
         sol = sol if others is None else joined_alternatives(sol)
-        sol = limited_margins(arm, sol) if self.limits else sol
         return jnp.mean(self.objective(arm, sol, blur))
 
     def violations(self, z: jax.Array) -> jax.Array:
@@ -217,8 +217,8 @@ class PlacementPlan:
         # The base is fixed and the goals move instead: more of the arm is then constant in the kernel.
         base = jnp.asarray(arm.base, values.dtype)
         back = pose_product(base, pose_inverse(self.moved_base(base, values)))
-        sol = solve_alternatives(arm, pose_product(back, goals), data.alternatives, self.samples)
-        sol = limited_margins(arm, sol) if self.limits else sol
+        judge = _judge(arm, self.limits)
+        sol = solve_alternatives(arm, pose_product(back, goals), data.alternatives, self.samples, judge)
         best = smooth_max(sol.margin, blur)
         # Where all goals are reached the share is constant; the worst margin still has a gradient.
         worst = smooth_min(best, blur, where=real) / float(reach(arm))
@@ -226,12 +226,27 @@ class PlacementPlan:
         count = jnp.sum(sol.valid.any(-1) & real, dtype=jnp.int32)
         return score, (count, jnp.min(jnp.where(real, jnp.max(sol.margin, axis=-1), jnp.inf)))
 
+    def exact_margins(self, data: "PlacementData") -> tuple[jax.Array, jax.Array]:
+        """Whether each goal is reached, (g,), and the margin of its best branch [m], (g,)."""
+
+        def of_one(goal):
+            judge = _judge(self.constant.arm, self.limits)
+            sol = solve_alternatives(self.constant.arm, goal, data.alternatives, self.samples, judge)
+            return sol.valid.any(-1), sol.margin.max(-1)
+
+        return jax.lax.map(of_one, data.goals, batch_size=self.start_batch_size)
+
     def is_allowed(self, values: jax.Array, data: "PlacementData") -> jax.Array:
         """Whether the base may stand where the coordinates put it."""
         given = dict(zip(self.free_coordinates, values, strict=True))
         shift = [given.get(name, jnp.zeros_like(values[0])) for name in TWIST[:3]]
         home = jnp.asarray(self.constant.arm.base, values.dtype)
         return data.allowed.at_one(jnp.stack([home[k, 3] + shift[k] for k in range(3)]))
+
+
+def _judge(arm: Arm, limits: bool) -> Judge | None:
+    """What solutions are taken for, where limits count and where they do not."""
+    return functools.partial(limited_margins, arm) if limits else None
 
 
 @jax.tree_util.register_dataclass
@@ -259,6 +274,17 @@ class BestPlacements:
     """(m,) of goals reached."""
     worst: jax.Array
     """(m,) worst margin [m]"""
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def evaluate_placement(plan: PlacementPlan, data: PlacementData) -> tuple[jax.Array, jax.Array]:
+    """`PlacementPlan.exact_margins` of goals as the arm sees them where it was given.
+
+    Args:
+        plan: What is fixed; its `start_batch_size` counts goals here.
+        data: The goals; where the base may stand does not matter.
+    """
+    return plan.exact_margins(data)
 
 
 # Short averages: the large gradients of the share must not slow the ascent once the share is constant.

@@ -72,16 +72,23 @@ class DesignResult:
         lines += [f"  at a bound: {', '.join(self.at_bounds)}"] if self.at_bounds else []
         return "\n".join(lines) + ">"
 
-    def report(self, most: int = 10) -> str:
-        """The study in a few lines for people, with the goals that are worst out of reach."""
+    def report(self, most: int = 10, *, degrees: bool = False) -> str:
+        """The study in a few lines for people, with the goals that are worst out of reach.
+
+        Args:
+            most: Goals to name.
+            degrees: Angles in degrees instead of radians.
+        """
         lines = [
             f"{self.start.name}: score {self.start_score:.4g} -> {self.score:.4g}, the best of "
             f"{len(self.scores)} starts ({self.scores.min():.4g} to {self.scores.max():.4g}) "
             f"after {len(self.history)} steps"
         ]
         for name, value in self.values.items():
-            unit = "rad" if name.rpartition(".")[2].startswith("r") or name[:2] in ("al", "th") else "m"
-            lines.append(f"  {name:8} {value:+.5f} {unit}")
+            unit, scale = "m", 1.0
+            if is_angle(name):
+                unit, scale = ("deg", 180 / np.pi) if degrees else ("rad", 1.0)
+            lines.append(f"  {name:8} {scale * value:+.5f} {unit}")
         if self.at_bounds:
             lines.append(f"  at a bound: {', '.join(self.at_bounds)}; wider ones may give a better arm")
         if self.violation > -np.inf:
@@ -244,8 +251,8 @@ def design(
         best = _search_locally(evaluate, candidates[i], best, local_search, seed, len(candidates))
     number, score, violation = best
     made = parameters.put(arm, jnp.asarray(number, goals.dtype))
-    sol = solve_alternatives(made, goals, others, samples)
-    sol = within_limits(made, sol) if limits else sol
+    judge = functools.partial(within_limits, made) if limits else None
+    sol = solve_alternatives(made, goals, others, samples, judge)
     return DesignResult(
         arm=made,
         start=arm,
@@ -262,6 +269,11 @@ def design(
         goals=np.asarray(goals),
         at_bounds=_met_bounds(parameters, number),
     )
+
+
+def is_angle(name: str) -> bool:
+    """Whether what varies is an angle [rad]: a twist, a joint angle, a turn of base or tool."""
+    return name.rpartition(".")[2].startswith("r") or name[:2] in ("al", "th")
 
 
 def _met_bounds(parameters: Parameters, values: np.ndarray) -> tuple[str, ...]:

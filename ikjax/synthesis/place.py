@@ -15,8 +15,7 @@ from scipy.spatial.transform import Rotation
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import reach
 from ikjax.ik.check import check_goals
-from ikjax.ik.margins import limited_margins
-from ikjax.ik.redundancy import checked_samples, solve_alternatives
+from ikjax.ik.redundancy import checked_samples
 from ikjax.ik.solve import as_goals, check_family
 from ikjax.maps.reach_map import ReachMap
 from ikjax.maps.sets.orientations import Orientations
@@ -30,6 +29,7 @@ from ikjax.synthesis.ascent import (
     ConstantArm,
     PlacementData,
     PlacementPlan,
+    evaluate_placement,
     polish_placements,
     starts_at_a_time,
 )
@@ -254,7 +254,7 @@ def place(
     # of the base.
     ends, begins = (
         [
-            _evaluate_base(arm, (to_world @ b).astype(given.dtype), flat, limits, samples, others)
+            _evaluate_base(arm, (to_world @ b).astype(given.dtype), data, flat, limits, samples)
             for b in space.base_poses(x[ranked])
         ]
         for x in (polished, first)
@@ -379,18 +379,18 @@ LEAST_GOALS = 16
 
 
 def _evaluate_base(
-    arm: Arm,
-    base: np.ndarray,
-    goals: np.ndarray,
-    limits: bool,
-    samples: int,
-    others: np.ndarray | None,
+    arm: Arm, base: np.ndarray, data: PlacementData, goals: np.ndarray, limits: bool, samples: int
 ) -> _Evaluation:
-    moved, count = dataclasses.replace(arm, base=base), len(goals)
-    sol = solve_alternatives(moved, jnp.asarray(_padded(goals)), others, samples)
-    sol = limited_margins(moved, sol) if limits else sol
-    reached = np.asarray(sol.valid.any(-1))[:count]
-    margin = np.asarray(sol.margin)[:count].max(-1)
+    """What is reached from a base pose; the goals are moved instead, so that all bases share a program."""
+    back = np.asarray(arm.base, float) @ np.linalg.inv(np.asarray(base, float))
+    seen = _padded((back @ np.asarray(goals, float)).astype(goals.dtype))
+    ways = 1 if data.alternatives is None else len(data.alternatives)
+    # A power of two, as the number of goals is.
+    at_a_time = 2 ** max(0, int(np.log2(BATCH_SIZE / ways))) if ways < BATCH_SIZE else 1
+    batch_size = starts_at_a_time(arm, min(at_a_time, len(seen)))
+    plan = PlacementPlan(ConstantArm(arm), (), limits, batch_size, samples)
+    found = evaluate_placement(plan, dataclasses.replace(data, goals=jnp.asarray(seen)))
+    reached, margin = (np.asarray(x)[: len(goals)] for x in found)
     return _Evaluation(base, reached, float(margin.min()))
 
 

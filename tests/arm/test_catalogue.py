@@ -1,8 +1,8 @@
 """Every arm of the tables against a second description of it, and which have none.
 
-Four kinds of second description: the package robotkinematicscatalogue (tables of modified parameters,
-compared where it is installed and is not itself the source), the reach that the maker prints or puts into the
-arm's name, files of others written out here, and those of `test_robots.py`.
+Kinds of second description: the package robotkinematicscatalogue (tables of modified parameters, compared
+where it is installed and is not itself the source), the reach that the maker puts into the arm's name, files
+of others written out here or their lengths, and those of `test_robots.py`.
 """
 
 import importlib
@@ -129,11 +129,6 @@ def parallel(arm):
     return abs(arm.a[1]) + abs(arm.a[2]) + abs(arm.d[4])
 
 
-def beside(arm):
-    """Axis 1 to the flange of a CRX, past its wrist's offset."""
-    return math.hypot(upright(arm), arm.d[4])
-
-
 REACH = {
     # In the designation, in m or mm: half of its last digit.
     "irb1200_5_90": (ortho, 0.90, 5e-3),
@@ -154,43 +149,6 @@ REACH = {
     "a0912": (upright, 1.200, 1e-9),
     "tm12": (parallel, 1.300, 5e-4),
     "tm14": (parallel, 1.100, 5e-4),
-    # Makers' data sheets, in m, from memory: the sheets were not opened again.
-    "irb140": (ortho, 0.810, 5e-4),
-    "kr5_arc": (ortho, 1.412, 1e-3),
-    "kr16_2": (ortho, 1.611, 5e-4),
-    "kr150_2": (ortho, 2.700, 2e-3),
-    "lrmate200id": (ortho, 0.717, 5e-4),
-    "lrmate200id_7l": (ortho, 0.911, 1e-3),
-    "m10ia": (ortho, 1.420, 1e-3),
-    "m20ia": (ortho, 1.811, 1e-3),
-    "m710ic_50": (ortho, 2.050, 1e-3),
-    "gp7": (ortho, 0.927, 5e-4),
-    "gp8": (ortho, 0.727, 5e-4),
-    "gp12": (ortho, 1.440, 1e-3),
-    "gp25": (ortho, 1.730, 1e-3),
-    "crx5ia": (beside, 0.994, 1e-3),
-    "crx10ia": (beside, 1.249, 5e-4),
-    "crx20ia_l": (beside, 1.418, 1e-3),
-    "crx25ia": (beside, 1.889, 1e-3),
-    "rx160": (to_flange, 1.710, 1e-9),
-    "tx2_60": (to_flange, 0.670, 1e-9),
-    "tx2_90": (to_flange, 1.000, 1e-9),
-    "vs060": (ortho, 0.605, 5e-4),
-    "vs068": (ortho, 0.710, 1e-3),
-    "rv7fr": (ortho, 0.713, 5e-4),
-    "rv4frl": (ortho, 0.649, 5e-4),
-    "rs007n": (ortho, 0.730, 1e-9),
-    "rs007l": (ortho, 0.930, 1e-9),
-    "meca500": (ortho, 0.260, 1e-3),
-    "rm65": (upright, 0.610, 1e-9),
-    "tm5_900": (parallel, 0.946, 1e-3),
-    "cr5": (parallel, 0.900, 1e-9),
-    "cr10": (parallel, 1.300, 1e-9),
-    "aubo_i5": (parallel, 0.8865, 1e-9),
-    "aubo_i10": (parallel, 1.350, 5e-4),
-    "ec66": (parallel, 0.914, 1e-9),
-    "cs66": (parallel, 0.914, 1e-9),
-    "mycobot_320": (parallel, 0.350, 1e-9),
 }
 
 
@@ -251,6 +209,32 @@ def universal(z, upper, fore, wrist, second, third):
             ((0, third, 0), back, up),
         ]
     )
+
+
+LENGTHS = {
+    # Axis 1 to 2, 2 to 3, 3 to 4, then along axis 4 to 5, and 5 to the flange [m], none where a file has
+    # another flange. Kawasaki-Robotics/khi_robot, khi_rs_description/urdf, macros of both.
+    "rs007n": (0, 0.355, 0, 0.0925 + 0.2825, 0.078),
+    "rs007l": (0, 0.455, 0, 0.0925 + 0.3825, 0.078),
+    # Tianhuanyu/mecademic_desctiption, urdf/meca_500_r3.urdf.
+    "meca500": (0, 0.135, 0.038, 0.12, 0.07),
+    # DENSORobot/denso_robot_ros, denso_robot_descriptions, vs060.urdf and vs068.xacro.
+    "vs060": (0, 0.305, 0.01, 0.1645 + 0.1355, 0.07),
+    "vs068": (0.03, 0.34, 0.02, 0.197 + 0.143, None),
+    # develop.realman-robotics.com, RM65 Series Parameters and D-H Model, RM65-B.
+    "rm65": (0, 0.256, 0, 0.21, 0.144),
+    # Elite-Robots/ROS, elite_description/urdf/ec66_description.urdf; 3 to 4 and along 4 of parallel axes.
+    "ec66": (0, 0.418, 0.398, 0.122, 0.089),
+}
+
+
+@pytest.mark.parametrize("name", LENGTHS)
+def test_an_arm_has_the_lengths_that_another_file_gives(name):
+    arm, (*lengths, flange) = ikjax.robots.get(name), LENGTHS[name]
+    own = [arm.a[0], arm.a[1], arm.a[2], arm.d[3]]
+    np.testing.assert_allclose(np.abs(own), lengths, atol=1e-9)
+    if flange is not None:
+        assert abs(float(arm.d[5] + arm.tool[2, 3])) == pytest.approx(flange, abs=1e-9)
 
 
 Z = (0, 0, 1)
@@ -327,7 +311,32 @@ def test_the_piper_moves_as_its_model_in_the_menagerie():
     np.testing.assert_allclose((B @ theirs @ E)[:, :3, 3], ours[:, :3, 3], atol=2.5e-3)
 
 
-UNCHECKED = {"fr3", "gofa10", "link6", "ned2", "so100", "xarm5", "zu12", "zu7"}
+def test_the_yam_moves_as_its_model_in_the_menagerie():
+    """i2rt_yam/yam.xml, whose foot and link 6 have frames of their own."""
+    none, third = (1, 0, 0, 0), (1, 1, 1, 1)
+    yam = by_frames(
+        [
+            ((0, 0, 0.0631), (1, 0, 0, 1), Z),
+            ((2.5e-5, -0.02, 0.0409), third, Z),
+            ((0.264, 0, 0), (0, 1, 0, 0), Z),
+            ((-0.245, -0.06, 0), none, Z),
+            ((-0.074, -0.0395, 2.5e-5), (1, -1, 1, 1), Z),
+            ((0, 0.0353, 0.0395), (1, -1, 0, 0), Z),
+        ]
+    )
+    q = np.random.default_rng(1).uniform(-2, 2, (12, 6))
+    ours = np.array([np.asarray(ikjax.fk(ikjax.robots.yam(), joints)) for joints in q])
+    theirs = np.array([yam(joints) for joints in q])
+    B, E = two_fixed_motions(ours, theirs)
+    np.testing.assert_allclose(B @ theirs @ E, ours, atol=1e-9)
+    assert np.abs(B @ theirs @ np.roll(E, 1, 0) - ours).max() > 0.1
+
+
+UNCHECKED = {
+    *("arx_x5", "aubo_i10", "aubo_i5", "cr10", "cr5", "crx20ia_l", "crx25ia", "crx5ia", "cs66", "fr3"),
+    *("gen3_6", "gofa10", "irb140", "koch", "link6", "mycobot_320", "ned2", "rv4frl", "rv7fr", "so100"),
+    *("tm5_900", "tx2_60", "tx2_90", "wxai", "xarm5", "zu12", "zu7"),
+}
 """Arms of which no second description was found, but for parts: the FR3 has the FER's lengths, the xArm 5
 those of the xArm 6, the SO-100 has some of the SO-101's."""
 
@@ -341,7 +350,7 @@ def test_every_arm_of_the_tables_has_a_second_description_or_is_said_to_have_non
         # tests/arm/test_seven_joints.py reads these from their makers' frames.
         *("fer", "iiwa7", "iiwa14", "xarm7", "gen3", "rm75", "gen72", "openarm"),
     }
-    checked = {*PACKAGED, *REACH, *WRITTEN, "piper", *elsewhere}
+    checked = {*PACKAGED, *REACH, *LENGTHS, *WRITTEN, "piper", "yam", *elsewhere}
     assert set(tables.tables()) - checked == UNCHECKED
 
 
@@ -360,6 +369,7 @@ def test_a_table_says_what_it_is_and_where_it_is_from():
             "dh",
             "turns",
             "joints",
+            "family",
         }
         assert set(table) <= known, name
 

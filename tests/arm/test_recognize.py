@@ -26,6 +26,8 @@ FAMILY = {
     **dict.fromkeys(["px150", "rx150", "rx200", "wx200", "wx250", "vx250", "so100", "xarm5"], "five_axis"),
     **dict.fromkeys(["ur3", "ur10", "ur16e", "ur20", "ur30", "z1"], "three_parallel"),
     **dict.fromkeys(["tm5_900", "tm12", "tm14", "cr5", "cr10", "zu7", "zu12"], "three_parallel"),
+    **dict.fromkeys(["yam", "wxai", "arx_x5"], "three_parallel"),
+    **{"koch": "five_axis", "gen3_6": "offset_wrist"},
     **dict.fromkeys(["aubo_i5", "aubo_i10", "ec66", "cs66", "mycobot_320"], "three_parallel"),
 }
 """By name; all others of the catalogue are the usual industrial arm."""

@@ -6,6 +6,7 @@ import json
 import math
 import pathlib
 import re
+import shutil
 import subprocess
 
 import numpy as np
@@ -13,9 +14,11 @@ import pytest
 
 import ikjax
 from ikjax import cli
-from ikjax.cli import study_file, table, whole_arm
+from ikjax.cli import sections, study_file, table, whole_arm
+from ikjax.cli.parser import build_parser
 from ikjax.maps.store import manifest
 
+READERS = {"sweep": study_file.read, "place": sections.read_place, "design": sections.read_design}
 DOCS = pathlib.Path(__file__).parents[2] / "docs"
 TOOL = ["--tool", "0", "0.02", "0.15", "0", "30", "0"]
 MOUNT = ["--mount", "0.5", "0", "0.8", "0", "0", "90"]
@@ -168,7 +171,8 @@ def test_a_new_study_runs_and_is_not_overwritten(run, tmp_path, monkeypatch):
 
 def test_every_key_and_every_statistic_is_listed(run):
     _, out, _ = run("study", "keys")
-    assert re.findall(r"^(\w+) =", out, re.M) == list(study_file.KEYS)
+    first, *sections = re.split(r"^\[(\w+)\]", out, flags=re.M)
+    assert [*re.findall(r"^(\w+) =", first, re.M), *sections[::2]] == list(study_file.KEYS)
     _, out, _ = run("study", "statistics")
     assert "limited_by" in out and "widest_interval" in out
     code, out, _ = run("sweep", "--help")
@@ -179,12 +183,14 @@ def test_the_studies_of_the_documentation_are_understood(tmp_path):
     found = 0
     for page in sorted(DOCS.rglob("*.md")):
         for block in re.findall(r"^```toml\n(.*?)^```$", page.read_text(), re.S | re.M):
-            for name in re.findall(r'file = "([\w.]+\.csv)"', block):
+            for name in re.findall(r'"([\w.]+\.csv)"', block):
                 (tmp_path / name).write_text("0.5, 0, 0\n0.5, 0.1, 0\n")
             (tmp_path / "study.toml").write_text(block)
-            study_file.read(tmp_path / "study.toml")
+            for command in re.findall(r"^\[(place|design)\]", block, re.M) or ["sweep"]:
+                options = build_parser().parse_args([command, str(tmp_path / "study.toml")])
+                READERS[command](tmp_path / "study.toml", options)
             found += 1
-    assert found >= 3
+    assert found >= 4
 
 
 GOALS = "x,y,z,roll,pitch,yaw\n0.2,0.1,-0.05,0,0,30\n0.2,0.05,-0.05,0,0,30\n"
@@ -296,6 +302,30 @@ def test_specs_are_compared_in_words_and_hashes_come_last():
         "zeta: 1 there, 2 here",
         "fixed.x: other numbers",
     ]
+
+
+def test_fish_completes_commands_options_and_arms(run, tmp_path):
+    if shutil.which("fish") is None:
+        pytest.skip("fish is not installed")
+    (tmp_path / "ikjax.fish").write_text(run("completion", "fish")[1])
+
+    def completed(line):
+        call = ["fish", "--no-config", "-c", f'source {tmp_path}/ikjax.fish; complete -C "{line}"']
+        done = subprocess.run(call, capture_output=True, text=True, check=True, cwd=tmp_path)
+        return [row.split("\t")[0] for row in done.stdout.splitlines()]
+
+    assert completed("ikjax pro") == ["project"]
+    assert completed("ikjax solve puma") == ["puma560"]
+    assert completed("ikjax place --kee") == ["--keep", "--keep-out"]
+
+
+def test_zsh_reads_its_script(run):
+    if shutil.which("zsh") is None:
+        pytest.skip("zsh is not installed")
+    script = run("completion", "zsh")[1]
+    call = f"{script}\nprint -r -- $_comps[ikjax]"
+    done = subprocess.run(["zsh", "-f", "-c", call], capture_output=True, text=True, check=True)
+    assert "_ikjax" in done.stdout and not done.stderr
 
 
 def test_a_shell_completes_commands_options_and_arms(run):

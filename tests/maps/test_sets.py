@@ -189,6 +189,10 @@ def test_a_table_gives_points_with_or_without_normals(tmp_path):
     (tmp_path / "points.csv").write_text("# x, y, z\n1, 2, 3\n\n4, 5, 6\n")
     part = ikjax.maps.surface(tmp_path / "points.csv")
     assert part == ikjax.maps.surface([[1, 2, 3], [4, 5, 6]]) and part.frames() is None
+    (tmp_path / "points.csv").write_text("x,y,z\n1, 2, 3\n4, 5, 6\n")
+    assert ikjax.maps.surface(tmp_path / "points.csv") == part
+    (tmp_path / "points.csv").write_text("x, Y, z, nx, ny, nz\n1, 2, 3, 0, 0, 2\n")
+    assert ikjax.maps.surface(tmp_path / "points.csv") == ikjax.maps.surface([[1, 2, 3]], [[0, 0, 1]])
     (tmp_path / "points.csv").write_text("1, 2, 3, 0, 0, 2\n")
     assert ikjax.maps.surface(tmp_path / "points.csv") == ikjax.maps.surface([[1, 2, 3]], [[0, 0, 1]])
 

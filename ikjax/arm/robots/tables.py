@@ -12,6 +12,7 @@
     poses = { zero = [0, 0, ...] }  # or poses_rad
     base, tool = [0, 0, 107, 0, 0, 0]  # x, y, z, roll, pitch, yaw: the identity by default
     axis_tolerance = 1e-3   # as in `Arm.from_dh`: optional
+    family = "..."          # likewise, where rounded lengths look like those of another
 
 and one of
 
@@ -63,7 +64,7 @@ def build(name: str) -> Arm:
     length, angle = _units(table)
     base, tool = (_pose(table.get(key, [0] * 6), length, angle) for key in ("base", "tool"))
     limits = _values(table, "limits", kinds)
-    options: dict[str, Any] = {"limits": limits, "kinds": kinds, "name": name}
+    options: dict[str, Any] = {"limits": limits, "kinds": kinds, "name": name, "family": table.get("family")}
     if "dh" in table and "turns" not in table:
         return Arm.from_dh(
             **_columns(table["dh"], length, angle),

@@ -6,16 +6,127 @@ either is doubtful. Of random goals some thousandths are doubtful, and float64 d
 these otherwise.
 """
 
+import enum
 import math
 from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from ikjax.arm.arm import Arm
 from ikjax.arm.forward import links, reach, whole_turns
 from ikjax.core.tolerances import DOUBTFUL_FOLD, DOUBTFUL_LIMIT, DOUBTFUL_MISSES, VALID
 from ikjax.solvers.pipeline import Slot
+
+
+class LimitTests(NamedTuple):
+    """The limits of an arm as the numbers that slots are tested with."""
+
+    ends: Any
+    """(n, 5) of a turning joint with a wide arc: sine and cosine of its middle, and the cosine of half of it.
+    With a narrow arc or a narrow gap: the factors of sine and cosine
+    in the cross products with both ends, and 1 or -1. Of a slide, and of coupled joints, the lower and the
+    upper limit first."""
+    shares: Any
+    """(n, 6) of `limit_share`: the middle, a turn or zero, then constant and factor of two lines, of which
+    the lesser counts."""
+
+
+NARROW = 0.1
+"""Arcs, and gaps between arcs, below this [rad] are tested by both ends: the cosine of half an arc tells it
+to 4 roundings over its sine, which at this width is 1e-5 rad in float32, half of what `VALID` allows."""
+
+
+class LimitKind(enum.Enum):
+    """What is fixed of a joint's limits in a program whose limits are data."""
+
+    NONE = (-math.inf, math.inf)
+    """No limits, or a turn and more between them. A kernel without the test is a tenth faster."""
+    WIDE = (-1.0, 1.0)
+    NARROW = (0.0, 0.0)
+    """An arc that is narrow, or leaves a narrow gap."""
+    ENDS = (-2.0, 2.0)
+    """Of slides and of coupled joints."""
+
+
+def limit_kinds(arm: Arm) -> tuple[LimitKind, ...]:
+    """The kind of each joint's limits; that of limits `LimitKind.value` is the same kind."""
+    kinds = []
+    limits = np.asarray(arm.limits, float)
+    for whole, kind, (lower, upper) in zip(whole_turns(arm), arm.kinds, limits, strict=True):
+        width = upper - lower
+        is_open = bool(np.isinf([lower, upper]).all())
+        if is_open or (whole and width >= 2 * math.pi):
+            kinds.append(LimitKind.NONE)
+        elif arm.coupling is not None or kind == "P":
+            kinds.append(LimitKind.ENDS)
+        elif width < NARROW or 2 * math.pi - width < NARROW:
+            kinds.append(LimitKind.NARROW)
+        else:
+            kinds.append(LimitKind.WIDE)
+    return tuple(kinds)
+
+
+def limit_tests(arm: Arm) -> LimitTests:
+    """The tests of an arm's limits, in numbers of the arm's type.
+
+    Args:
+        arm: A baked arm.
+    """
+    eps, ends, shares = float(np.finfo(arm.dtype).eps), np.zeros((arm.n, 5)), np.zeros((arm.n, 6))
+    rows = zip(links(arm), whole_turns(arm), limit_kinds(arm), np.asarray(arm.limits, float), strict=True)
+    for i, (link, whole, kind, (lower, upper)) in enumerate(rows):
+        # A limit that is met exactly is within.
+        low, high = lower - 8 * eps, upper + 8 * eps
+        if kind == LimitKind.ENDS:
+            ends[i, :2] = low, high
+        elif kind == LimitKind.NARROW:
+            # Left of the first end and right of the second one, and, where the arc is more than half a turn,
+            # one of both: then both products have the other sign, and the lesser of them is the greater one.
+            sign, first, last = 1 if high - low <= math.pi else -1, link.theta + low, link.theta + high
+            ends[i, :2] = sign * math.cos(first), -sign * math.sin(first)
+            ends[i, 2:4] = -sign * math.cos(last), sign * math.sin(last)
+            ends[i, 4] = sign
+        elif kind == LimitKind.WIDE:
+            middle = link.theta + (lower + upper) / 2
+            ends[i, :3] = math.sin(middle), math.cos(middle), math.cos((upper - lower) / 2) - 4 * eps
+        shares[i] = _share_lines(arm, bool(whole), lower, upper)
+    return LimitTests(ends.astype(arm.dtype), shares.astype(arm.dtype))
+
+
+def _share_lines(arm: Arm, whole: bool, lower: float, upper: float) -> tuple[float, ...]:
+    """A row of `LimitTests.shares`, by the rules of `limit_share`."""
+    if math.isfinite(lower) and math.isfinite(upper):
+        per = 1 / max((upper - lower) / 2, float(np.finfo(arm.dtype).tiny))
+        return (lower + upper) / 2, 2 * math.pi if whole else 0.0, 1.0, per, 1.0, -per
+    if whole or not (math.isfinite(lower) or math.isfinite(upper)):
+        return 0.0, 0.0, 1.0, 0.0, 1.0, 0.0
+    line = (-lower, 1.0) if math.isfinite(lower) else (upper, -1.0)
+    return 0.0, 0.0, *line, *line
+
+
+def tested_joints(arm: Arm, slot: Slot, tests: LimitTests) -> Iterator[tuple[int, jax.Array]]:
+    """Each joint that has limits, counted from 0, and whether whole turns can bring it between them.
+
+    Args:
+        arm: A baked arm; of its own limits the kinds matter.
+        slot: One of its slots.
+        tests: The limits, of the kinds that the limits of `arm` have.
+    """
+    rows = zip(limit_kinds(arm), whole_turns(arm), slot.joints, slot.q, tests.ends, strict=True)
+    for i, (kind, whole, joint, value, (first, second, third, fourth, sign)) in enumerate(rows):
+        if kind == LimitKind.WIDE:
+            yield i, joint.sin * first + joint.cos * second >= third
+        elif kind == LimitKind.NARROW:
+            past = joint.sin * first + joint.cos * second
+            before = joint.sin * third + joint.cos * fourth
+            yield i, sign * jnp.minimum(past, before) >= 0
+        elif kind == LimitKind.ENDS:
+            if whole:
+                value = value + 2 * math.pi * jnp.ceil((first - value) / (2 * math.pi))
+            yield i, (value >= first) & (value <= second)
 
 
 def slot_within_limits(arm: Arm, slot: Slot, slack: float | None = None) -> jax.Array:
@@ -34,8 +145,17 @@ def slot_within_limits(arm: Arm, slot: Slot, slack: float | None = None) -> jax.
     Returns:
         bool, of the slot's shape; a scalar where no joint has limits.
     """
+    return _all_of(joints_within_limits(arm, slot, slack))
+
+
+def slot_passes(arm: Arm, slot: Slot, tests: LimitTests) -> jax.Array:
+    """`slot_within_limits` for limits that are data."""
+    return _all_of(tested_joints(arm, slot, tests))
+
+
+def _all_of(flags: Iterator[tuple[int, jax.Array]]) -> jax.Array:
     inside = jnp.asarray(True)
-    for _, flag in joints_within_limits(arm, slot, slack):
+    for _, flag in flags:
         inside = inside & flag
     return inside
 
@@ -70,7 +190,7 @@ def joints_within_limits(arm: Arm, slot: Slot, slack: float | None = None) -> It
         yield i, between
 
 
-def limit_share(arm: Arm, slot: Slot) -> jax.Array:
+def limit_share(arm: Arm, slot: Slot, tests: LimitTests | None = None) -> jax.Array:
     """The distance of the joint nearest to a limit from that limit, as a share of half the joint's range.
 
     It is 1 in the middle of the range, 0 at the limit, and negative beyond it. A revolute joint is taken at
@@ -81,11 +201,19 @@ def limit_share(arm: Arm, slot: Slot) -> jax.Array:
     Args:
         arm: A baked arm.
         slot: One of its slots.
+        tests: Its limits, where they are not those of `arm`.
 
     Returns:
         Of the shape and type of the slot's margin.
     """
     least = jnp.ones_like(slot.margin)
+    if tests is not None:
+        for whole, value, row in zip(whole_turns(arm), slot.q, tests.shares, strict=True):
+            offset = value - row[0]
+            if whole:
+                offset = offset - row[1] * jnp.round(offset / (2 * math.pi))
+            least = jnp.minimum(least, jnp.minimum(row[2] + row[3] * offset, row[4] + row[5] * offset))
+        return least
     for whole, value, (lower, upper) in zip(whole_turns(arm), slot.q, arm.limits.tolist(), strict=True):
         if not (math.isfinite(lower) and math.isfinite(upper)):
             inside = (
@@ -114,15 +242,17 @@ def _coupled_within_limits(arm: Arm, slot: Slot, slack: float) -> Iterator[tuple
         yield i, (value >= lower - slack) & (value <= upper + slack)
 
 
-def within_all_but_one(arm: Arm, slot: Slot) -> list[jax.Array | bool]:
+def within_all_but_one(arm: Arm, slot: Slot, tests: LimitTests | None = None) -> list[jax.Array | bool]:
     """For each joint, whether all other joints of a slot are within their limits.
 
     Args:
         arm: A baked arm.
         slot: One of its slots.
+        tests: Its limits, where they are not those of `arm`.
     """
     flags: list[jax.Array | bool] = [True] * arm.n
-    for i, inside in joints_within_limits(arm, slot):
+    inside_of = joints_within_limits(arm, slot) if tests is None else tested_joints(arm, slot, tests)
+    for i, inside in inside_of:
         flags[i] = inside
     before: list[jax.Array | bool] = [True]
     after: list[jax.Array | bool] = [True]

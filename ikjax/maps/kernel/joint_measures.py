@@ -36,27 +36,29 @@ STEPS = 6
 """Iterations of Laguerre's method for the least eigenvalue; near it each triples the number of digits."""
 
 
-def jacobian_columns(arm: Arm, joints: Joints) -> Rows:
+def jacobian_columns(arm: Arm, joints: Joints, tool: poses.Pose, size: Scalar) -> Rows:
     """Columns of the Jacobian in units of the reach.
 
     Args:
         arm: A baked arm.
-        joints: Of one slot; a prismatic one in units of the reach.
+        joints: Of one slot; a prismatic one in units of the reach of `arm`.
+        tool: In the frame of the last link.
+        size: The reach of the arm with this tool [m].
 
     Returns:
         n columns of six entries, linear before angular; of three for a task of positions.
     """
-    size = reach(arm)
+    unit = reach(arm)
     frame, frames_before = fixed_pose(arm.base), []
     for link, joint in zip(links(arm), joints, strict=True):
         frames_before.append(frame)
         if isinstance(joint, Slide):
             sine, cosine = math.sin(link.theta), math.cos(link.theta)
-            moved = Joint(sine, cosine, link.d + size * joint.value)
+            moved = Joint(sine, cosine, link.d + unit * joint.value)
         else:
             moved = Joint(joint.sin, joint.cos, link.d)
         frame = _pinned_pose(advance(frame, link, moved))
-    tip = poses.compose(frame, fixed_pose(arm.tool)).position
+    tip = poses.compose(frame, tool).position
     twists = motor_twists(arm, Chain(frames_before, frames_before, frame), tip)
     return [_column(arm, kind, twist, size) for kind, twist in zip(arm.kinds, twists, strict=True)]
 
@@ -71,7 +73,7 @@ def _pinned_pose(frame: poses.Pose) -> poses.Pose:
     return poses.Pose(rotation, tuple(map(_pinned, frame.position)))
 
 
-def _column(arm: Arm, kind: str, twist: Twist, size: float) -> list[Scalar]:
+def _column(arm: Arm, kind: str, twist: Twist, size: Scalar) -> list[Scalar]:
     """A joint's twist in units of the reach `size` [m]; `kind` is "R" or "P"."""
     linear_unit = 1.0 if kind == "P" else 1 / size
     entries = [vector.times(linear_unit, x) for x in twist.linear]
@@ -248,7 +250,7 @@ def _measure_at_slots(goal: Goal, what: str) -> list[jax.Array]:
             else:
                 joints.append(type(joint)(left.pop(0), left.pop(0), ()))
         with pinning(goal.pin):
-            return MEASURES[what](jacobian_columns(goal.arm, tuple(joints)))
+            return MEASURES[what](jacobian_columns(goal.arm, tuple(joints), goal.tool_pose, goal.whole_reach))
 
     if what not in goal.cache:
         goal.cache[what] = list(one_by_one(measure, jnp.stack([jnp.stack(row(slot)) for slot in goal.slots])))
@@ -259,5 +261,7 @@ def best_limit_share(goal: Goal) -> jax.Array:
     """The greatest `limit_share` among a goal's solutions, (positions, orientations); -inf without one."""
     greatest = jnp.full(goal.shape, -jnp.inf, goal.slots[0].margin.dtype)
     for slot in goal.slots:
-        greatest = jnp.where(slot.valid, jnp.maximum(greatest, limit_share(goal.arm, slot)), greatest)
+        greatest = jnp.where(
+            slot.valid, jnp.maximum(greatest, limit_share(goal.arm, slot, goal.limits)), greatest
+        )
     return greatest

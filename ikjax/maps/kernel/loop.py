@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ikjax.arm.arm import Arm
+from ikjax.core import pose as poses
 from ikjax.core import vector
 from ikjax.core.pose import Pose
 from ikjax.core.xla import divider, pinning
@@ -33,11 +34,12 @@ from ikjax.maps.kernel.accumulators import (
     reduce_tile,
     value_per_goal,
 )
+from ikjax.maps.kernel.mounted import Mounted, Parts
 from ikjax.maps.kernel.sample import Goal
 from ikjax.maps.sets.orientations import Orientations
 from ikjax.maps.sets.protocol import PositionSet, Tables
 from ikjax.maps.sets.surface import Surface
-from ikjax.solvers.pipeline import solve_scalars
+from ikjax.solvers.pipeline import Measured, solve_scalars
 
 POSITIONS, ORIENTATIONS = 64, 512
 """Goals in a tile: so many positions with so many orientations each."""
@@ -82,8 +84,8 @@ def trials_of(arm: Arm, rolls: int, samples: int) -> Trials:
 class LoopSpec:
     """What is fixed in the program of a sweep's loop."""
 
-    arm: Arm
-    """Baked, of type `dtype`."""
+    parts: Parts
+    """The arm, of type `dtype`: what of it is fixed, and what is data."""
     positions: PositionSet
     orientations: Orientations
     trials: Trials
@@ -99,6 +101,7 @@ class LoopSpec:
 def loop(
     spec: LoopSpec,
     tables: tuple[Tables, Tables],
+    mounted: Mounted | None,
     index: jax.Array,
     first: jax.Array,
     blocks: jax.Array,
@@ -109,6 +112,7 @@ def loop(
     Args:
         spec: What is fixed in the program.
         tables: What `positions.at` and `orientations.at` look up.
+        mounted: The numbers of the arm that are data; None where none are.
         index: (CALL, axes) int32, the places of the positions.
         first: int32, the first orientation.
         blocks: int32, blocks of `POSITIONS` positions that are computed, at most `BLOCKS`.
@@ -124,13 +128,36 @@ def loop(
     columns = tuple(index[:, k] for k in range(index.shape[1]))
     place = positions.at(tables[0], columns, jnp, dtype)
     frame = positions.frame_at(tables[0], columns) if isinstance(positions, Surface) else None
-    places = jnp.stack([jnp.broadcast_to(x, (CALL,)) for x in (*place, *sum(frame or (), ()))])
     turn = jnp.minimum(first, count - 1) + jnp.arange(most * width, dtype=jnp.int32)
     real = (turn < count).reshape(most, 1, width)
-    rows = orientations.at(tables[1], jnp.minimum(turn, count - 1), jnp, dtype)
+    rotations = orientations.at(tables[1], jnp.minimum(turn, count - 1), jnp, dtype)
+    tool, trials = None, spec.trials
+    spot: tuple[jax.Array, ...] = (*place, *sum(frame or (), ()))
+    posed = Pose(rotations, vector.ORIGIN)
+    if mounted is not None:
+        mounted = mounted.in_scalars()
+        trials = trials._replace(redundancy=mounted.redundancy)
+        distance, from_world = vector.norm(place), mounted.from_world
+        place = vector.add(vector.rotate(from_world.rotation, place), from_world.position)
+        tool = mounted.from_tool if spec.parts.has_tool else None
+        if tool is not None and not spec.parts.has_offset:
+            tool = tool._replace(position=vector.ORIGIN)
+        if tool is not None and trials.rolls == 1:
+            posed, tool = poses.compose(posed, tool), None
+        if frame is None:
+            posed = Pose(
+                vector.matmul(from_world.rotation, posed.rotation),
+                vector.rotate(from_world.rotation, posed.position),
+            )
+        else:
+            frame = vector.matmul(from_world.rotation, frame)
+        spot = (*place, distance, *sum(frame or (), ()))
+    places = jnp.stack([jnp.broadcast_to(x, (CALL,)) for x in spot])
     # The rotations enter the loops below as an array: made inside, they would be made again for every goal.
-    table = jnp.stack([jnp.broadcast_to(x, turn.shape) for row in rows for x in row])
-    table = jnp.moveaxis(table.reshape(9, most, width), 1, 0)
+    shift = posed.position if spec.parts.has_offset and trials.rolls == 1 else ()
+    entries = (*sum(posed.rotation, ()), *shift)
+    table = jnp.stack([jnp.broadcast_to(jnp.asarray(x, dtype), turn.shape) for x in entries])
+    table = jnp.moveaxis(table.reshape(len(entries), most, width), 1, 0)
 
     def results_of(this_pass: Pass) -> tuple[jax.Array, ...]:
         accumulators = this_pass.accumulators
@@ -143,12 +170,16 @@ def loop(
             def tile(t, totals):
                 entries = jax.lax.dynamic_index_in_dim(table, t, keepdims=False)[:, None, :]
                 rotation = rows_of([entries[k] for k in range(9)])
+                offset = tuple(entries[9:]) or vector.ORIGIN
                 if frame is not None:
-                    rotation = vector.matmul(rows_of([here[k] for k in range(3, 12)]), rotation)
-                goal = Pose(rotation, tuple(here[k] for k in range(3)))
+                    surface = rows_of(list(here[-9:]))
+                    rotation, offset = vector.matmul(surface, rotation), vector.rotate(surface, offset)
+                position = vector.add(tuple(here[k] for k in range(3)), offset)
+                goal = Pose(rotation, position)
+                seen = None if mounted is None else Seen(mounted, here[3], tool, spec.parts.has_tool)
                 # Where every tile is full no mask is needed, and XLA optimizes better without one.
                 mask = jax.lax.dynamic_index_in_dim(real, t, keepdims=False) if count % width else None
-                values = each_goal(spec.arm, this_pass, goal, spec.trials, dtype, (depth, width))
+                values = each_goal(spec.parts.bare, this_pass, goal, trials, dtype, (depth, width), seen)
                 return tuple(
                     add_tile(acc, total, reduce_tile(acc, value, mask), t)
                     for acc, total, value in zip(accumulators, totals, values, strict=True)
@@ -173,18 +204,37 @@ def rows_of(nine: list[jax.Array]) -> vector.Matrix:
     return tuple(tuple(nine[3 * i : 3 * i + 3]) for i in range(3))
 
 
+class Seen(NamedTuple):
+    """What goals are of an arm of which some numbers are data."""
+
+    mounted: Mounted
+    distance: jax.Array
+    """From the origin of the world [m]."""
+    tool: Pose | None
+    """T_tool_tip, if the goals are not yet those of the tip."""
+    has_tool: bool
+    """Whether the tool is data."""
+
+
 def each_goal(
-    arm: Arm, this_pass: Pass, goal: Pose, trials: Trials, dtype: np.dtype, shape: tuple[int, ...]
+    arm: Arm,
+    this_pass: Pass,
+    goal: Pose,
+    trials: Trials,
+    dtype: np.dtype,
+    shape: tuple[int, ...],
+    seen: Seen | None = None,
 ) -> tuple[jax.Array, ...]:
     """The number of each goal for each accumulator of a pass, over all trials.
 
     Args:
         arm: Baked, of type `dtype`.
         this_pass: Which numbers.
-        goal: T_world_tool in scalars: arrays that broadcast to `shape`.
+        goal: T_world_tool in scalars, or what `seen` says: arrays that broadcast to `shape`.
         trials: Of each goal.
         dtype: Floating type of the kernel.
         shape: Of the goals: (positions, orientations), or (goals,).
+        seen: Of an arm of which some numbers are data: goals are in the frame of its base.
 
     Returns:
         One array of that shape for each accumulator.
@@ -194,9 +244,16 @@ def each_goal(
         like = jnp.broadcast_to(rotation[0][0] + goal.position[0], shape)
         policy = divider(like)
         turned = Pose(rotation, goal.position)
+        of_whole = None
+        if seen is not None:
+            turned = turned if seen.tool is None else poses.compose(turned, seen.tool)
+            of_whole = Measured(seen.mounted.reach, seen.distance)
         with pinning(policy if this_pass.pinned else None):
-            slots = solve_scalars(arm, turned, free=free)
+            slots = solve_scalars(arm, turned, free=free, of_whole=of_whole)
         solved = Goal(arm, slots, policy, shape, {}, turned, free)
+        if seen is not None:
+            tool = seen.mounted.tip_tool if seen.has_tool else None
+            solved = solved._replace(limits=seen.mounted.limits, tool=tool, reach=seen.mounted.reach)
         if this_pass.packs_flags:
             kinds = {channel.inside for acc in this_pass.accumulators for channel in acc.channels}
             solved = solved.with_packed_flags(sorted(kinds), this_pass.doubt_name is not None)

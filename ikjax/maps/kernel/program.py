@@ -19,6 +19,7 @@ from ikjax.ik.inline import is_small
 from ikjax.maps.kernel.accumulators import JOIN_CALLS, Accumulator, passes_for
 from ikjax.maps.kernel.certify import Between, Certifier, certified_channels, certifying_program
 from ikjax.maps.kernel.loop import BLOCKS, CALL, ORIENTATIONS, POSITIONS, LoopSpec, loop, trials_of
+from ikjax.maps.kernel.mounted import Mounted, Parts, parts_of
 from ikjax.maps.kernel.sample import GOALS_PER_WORD
 from ikjax.maps.sets.positions import Grid
 from ikjax.maps.sets.protocol import Tables
@@ -42,8 +43,9 @@ class Kernel:
 
     compiled: Callable
     """`loop`, over all devices of this process."""
-    tables: tuple[Tables, Tables]
-    """What the sets of positions and of orientations look up, on every device."""
+    tables: tuple[tuple[Tables, Tables], Mounted | None]
+    """What the sets of positions and of orientations look up, and the arm's numbers that are data, on every
+    device."""
     accumulators: list[Accumulator]
     """What the program returns, in order."""
     orientations: int
@@ -93,7 +95,7 @@ class Kernel:
             full[device, : len(part)] = part
         left = min(self.orientations - first, self.tiles * self.width)
         numbers = map(np.int32, (first, per_device // POSITIONS, -(-left // self.width)))
-        returned = self.compiled(self.tables, full.reshape(-1, self.axes), *numbers)
+        returned = self.compiled(*self.tables, full.reshape(-1, self.axes), *numbers)
         for accumulator, array in zip(self.accumulators, jax.device_get(returned), strict=True):
             rows = np.asarray(array).reshape(self.devices, CALL, -1)[:, :per_device]
             rows = rows.reshape(-1, rows.shape[-1])[:count]
@@ -133,7 +135,7 @@ class Kernel:
         for _ in range(2):
             started = time.perf_counter()
             index = np.zeros((self.devices * CALL, self.axes), np.int32)
-            jax.block_until_ready(self.compiled(self.tables, index, *map(np.int32, (0, 1, 1))))
+            jax.block_until_ready(self.compiled(*self.tables, index, *map(np.int32, (0, 1, 1))))
             times.append(time.perf_counter() - started)
         one = min(times)  # of one block with one tile
         self.tiles = int(np.clip(seconds / one, 1, self.tiles))
@@ -144,9 +146,11 @@ class Kernel:
 def kernel_of(study: manifest.Study, plan: Plan) -> Kernel:
     """The compiled loop of a sweep. The program is cached for the next sweep of the same study.
 
-    Another box grid needs no other program, unless doubtful goals are certified or one of its edges passes a
-    power of two. Another arm does, with any other number of it: tool, mount and limits are constants of the
-    program.
+    Another box grid needs no other program, unless one of its edges passes a power of two. Nor do another
+    tool, another mount or other limits, unless a tool has an offset for the first time, or a joint gets or
+    loses its limits, or a range comes to within 0.1 rad of nothing or of a turn. Programs know all numbers
+    where doubtful goals are certified or `maps.Near` is asked for, and the tool of arms of fewer than six
+    joints or whose goals are points.
 
     Positions are divided among this process's devices, each of which runs the same program.
 
@@ -158,8 +162,11 @@ def kernel_of(study: manifest.Study, plan: Plan) -> Kernel:
     dtype = np.dtype(study.dtype)
     arm = as_solved(study.arm.astype(dtype).baked())
     trials = trials_of(arm, study.free_rolls, study.redundancy_samples)
-    # The program that certifies takes the tables as they are.
+    # The program that certifies takes the tables and the arm as they are.
     as_data = isinstance(positions, Grid) and not plan.certify
+    parts = Parts(arm, None, has_tool=False)
+    if not plan.certify and not any(channel.needs_whole_arm for channel in plan.channels.values()):
+        parts = parts_of(arm, study.redundancy_samples)
     tables = positions.tables(dtype), orientations.tables(dtype)
     if as_data:
         tables = tuple(map(_padded, tables[0])), tables[1]
@@ -172,7 +179,11 @@ def kernel_of(study: manifest.Study, plan: Plan) -> Kernel:
     key = manifest.fingerprint(
         {
             # A certified sweep solves the arm as it was given too, not only as it is rounded to `dtype`.
-            "arm": manifest.arm_spec(study.arm.astype("float64") if plan.certify else arm),
+            "arm": {
+                **manifest.arm_spec(study.arm.astype("float64") if plan.certify else parts.bare),
+                "name": "",
+            },
+            "mounted": [parts.mounted is not None, parts.has_tool, parts.has_offset],
             # Where a grid lies, its spacing and its edges are data.
             "sets": [
                 "Grid" if as_data else manifest.set_spec(positions),
@@ -183,19 +194,20 @@ def kernel_of(study: manifest.Study, plan: Plan) -> Kernel:
             "devices": len(devices),
             "dtype": dtype.name,
             "statistics": plan.specs(),
+            "channels": list(plan.channels),
         }
     )
     if key not in _compiled:
         while len(_compiled) >= _CACHE_SIZE:
             _compiled.pop(next(iter(_compiled)))
-        spec = LoopSpec(arm, positions, orientations, trials, dtype, passes, tiles, width)
+        spec = LoopSpec(parts, positions, orientations, trials, dtype, passes, tiles, width)
         certified = certified_channels(passes)
         certifying = None
         if certified:
             certifying = certifying_program(study, certified), Between.of(study, certified)
         _compiled[key] = _compile_loop(spec, tables, mesh), certifying
     compiled, certifying = _compiled[key]
-    placed = jax.device_put(tables, NamedSharding(mesh, PartitionSpec()))
+    placed = jax.device_put((tables, parts.mounted), NamedSharding(mesh, PartitionSpec()))
     kernel = Kernel(
         compiled, placed, accumulators, orientations.count, width, len(positions.shape), tiles, len(devices)
     )
@@ -217,11 +229,11 @@ LEAST_COORDINATES = 128
 def _compile_loop(spec: LoopSpec, tables: tuple[Tables, Tables], mesh: Mesh) -> Callable[..., Any]:
     """`loop` over all devices of the mesh, (devices * CALL, axes) places in, (devices * CALL, k) out."""
     each = functools.partial(loop, spec)
-    shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), tables)
+    shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), (tables, spec.parts.mounted))
     index = jax.ShapeDtypeStruct((mesh.size * CALL, len(spec.positions.shape)), np.int32)
     numbers = [jax.ShapeDtypeStruct((), np.int32)] * 3
     split, whole = PartitionSpec("goals"), PartitionSpec()
-    inputs = (whole, split, whole, whole, whole)
+    inputs = (whole, whole, split, whole, whole, whole)
     # What is the same on all devices is so by construction; nothing is exchanged.
     sharded = jax.shard_map(each, mesh=mesh, in_specs=inputs, out_specs=split, check_vma=False)
     jitted = jax.jit(
@@ -230,4 +242,4 @@ def _compile_loop(spec: LoopSpec, tables: tuple[Tables, Tables], mesh: Mesh) -> 
         out_shardings=NamedSharding(mesh, split),
         compiler_options=one_thread(),
     )
-    return jitted.lower(shapes, index, *numbers).compile()
+    return jitted.lower(*shapes, index, *numbers).compile()

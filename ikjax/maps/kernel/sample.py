@@ -8,9 +8,17 @@ import jax
 import jax.numpy as jnp
 
 from ikjax.arm.arm import Arm
+from ikjax.arm.forward import fixed_pose, reach
 from ikjax.core.pose import Pose
+from ikjax.core.trig import Scalar
 from ikjax.core.xla import Pin, through_one_number
-from ikjax.maps.kernel.flags import any_doubtful, slot_within_limits, within_all_but_one
+from ikjax.maps.kernel.flags import (
+    LimitTests,
+    any_doubtful,
+    slot_passes,
+    slot_within_limits,
+    within_all_but_one,
+)
 from ikjax.solvers.pipeline import Slot
 
 GOALS_PER_WORD = 32
@@ -45,6 +53,28 @@ class Goal(NamedTuple):
     """T_world_tool, for channels that look at more than solutions."""
     free: tuple[jax.Array, ...] = ()
     """Values of the redundant joints, one number each for all goals."""
+    limits: LimitTests | None = None
+    """The limits, where they are not those of `arm`."""
+    tool: Pose | None = None
+    """The tool in the frame of the last link, where it is not that of `arm`."""
+    reach: jax.Array | None = None
+    """The reach [m], where it is not that of `arm`."""
+
+    @property
+    def tool_pose(self) -> Pose:
+        """The tool in the frame of the last link."""
+        return fixed_pose(self.arm.tool) if self.tool is None else self.tool
+
+    @property
+    def whole_reach(self) -> Scalar:
+        """The reach of the arm with its tool [m]."""
+        return reach(self.arm) if self.reach is None else self.reach
+
+    def is_within_limits(self, slot: Slot) -> jax.Array:
+        """Whether whole turns can bring every joint of a slot between its limits."""
+        if self.limits is None:
+            return slot_within_limits(self.arm, slot)
+        return slot_passes(self.arm, slot, self.limits)
 
     def flags(self, inside: bool) -> list[jax.Array]:
         """Which slots count, one bool array (positions, orientations) for each slot.
@@ -56,7 +86,7 @@ class Goal(NamedTuple):
             return self.cache[inside]
         if not inside:
             return [slot.valid for slot in self.slots]
-        return [slot.valid & slot_within_limits(self.arm, slot) for slot in self.slots]
+        return [slot.valid & self.is_within_limits(slot) for slot in self.slots]
 
     def reached_but_for(self, joint: int) -> jax.Array:
         """Whether a solution is within the limits of all other joints, bool (positions, orientations).
@@ -64,7 +94,8 @@ class Goal(NamedTuple):
         The flags of all joints are read from one number that is computed once.
         """
         if BUT_ONE not in self.cache:
-            rows = [[slot.valid & flag for flag in within_all_but_one(self.arm, slot)] for slot in self.slots]
+            others = [within_all_but_one(self.arm, slot, self.limits) for slot in self.slots]
+            rows = [[slot.valid & x for x in row] for slot, row in zip(self.slots, others, strict=True)]
             flags = [functools.reduce(jnp.logical_or, column) for column in zip(*rows, strict=True)]
             code = through_one_number(flags, self.slots[0].margin, self.shape, self.pin)
             self.cache[BUT_ONE] = [(code >> k & 1) == 1 for k in range(len(flags))]
@@ -117,6 +148,8 @@ class Channel(NamedTuple):
     looks between the values too."""
     pinned: bool = False
     """Needs joints, not only flags: values of the kernel are pinned."""
+    needs_whole_arm: bool = False
+    """Needs the arm with its mount, tool and limits, which then are constants of the program."""
 
     @property
     def is_additive(self) -> bool:

@@ -102,8 +102,9 @@ def surface(
     """Points of a surface, as the positions of a sweep.
 
     Args:
-        points: (n, 3) [m]; or a file: `.csv` with three columns, or six with normals, and `#` before
-            comments; or `.stl`, whose triangles give their centroids and normals.
+        points: (n, 3) [m]; or a file: `.csv` with three columns, or six with normals, `#` before
+            comments, and perhaps a first line x,y,z or x,y,z,nx,ny,nz; or `.stl`, whose triangles give their
+            centroids and normals.
         normals: (n, 3) of any length but zero, pointing out of the part; not with a file.
         scale: Meters in a unit of the points: 0.001 for a file in millimeters.
         spacing: Triangles are cut into equal ones until no edge is longer [m]; by default they are not cut.
@@ -201,6 +202,9 @@ def _read_table(path: pathlib.Path, data: bytes) -> tuple[np.ndarray, np.ndarray
     """Points (n, 3) and normals (n, 3) or None, of the bytes of a CSV file."""
     try:
         lines = [line for line in data.decode().splitlines() if line.partition("#")[0].strip()]
+        names = [cell.strip().lower() for cell in lines[0].split(",")] if lines else []
+        if names in (["x", "y", "z"], ["x", "y", "z", "nx", "ny", "nz"]):
+            lines = lines[1:]
         rows = np.loadtxt(lines, delimiter=",", ndmin=2) if lines else np.empty((0, 0))
     except ValueError as error:
         raise ValueError(f"{path}: no table of numbers: {error}") from error
