@@ -77,7 +77,7 @@ def test_a_terminal(reach, tmp_path, capsys, monkeypatch):
     assert cli.main(["show", str(tmp_path / "map.zarr"), "--json"]) in (0, 1)
     assert json.loads(capsys.readouterr().out)["arm"] == ARM.name
     monkeypatch.setattr(whole_arm, "find_arm", lambda name, **options: ARM)
-    assert cli.main(["info", "x"]) == 0
+    assert cli.main(["info", "x.urdf"]) == 0
     is_one_line_of(ARM.name, capsys.readouterr().out)
 
 

@@ -14,9 +14,9 @@ import dataclasses
 import functools
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -32,6 +32,7 @@ from ikjax.core.xla import (
     quick_to_compile,
     to_columns,
     to_rows,
+    unstacked,
     wide_vectors,
 )
 from ikjax.ik.inline import FIELDS, Entries, from_rows, parts, rows_of, slots_of
@@ -203,13 +204,16 @@ def _compiled(block, known, form, shapes):
 def _piece(block, known, rest, inputs, blocks):
     """The first `blocks` blocks of a piece; the rest stays zero."""
     arm = Arm.join(known, rest)
+    in_columns, in_rows = unstacked(block)
 
     def rows(i):
-        return block(arm, _cut(inputs, i * BLOCK, BLOCK))
+        return in_columns(arm, _cut(inputs, i * BLOCK, BLOCK))
 
     shapes = jax.eval_shape(lambda: rows(0))
     empty = jax.tree.map(lambda s: jnp.zeros((PIECE, *s.shape[1:]), s.dtype), shapes)
-    return jax.lax.fori_loop(0, blocks, lambda i, whole: _with_piece(whole, rows(i), i * BLOCK), empty)
+    return in_rows(
+        jax.lax.fori_loop(0, blocks, lambda i, whole: _with_piece(whole, rows(i), i * BLOCK), empty)
+    )
 
 
 def entries_in(goals: jax.Array) -> Entries:
@@ -225,14 +229,38 @@ class SolveBlock:
     pose_tolerance: float | None
 
     def __call__(self, arm: Arm, rows) -> Solutions:
+        return self.in_rows(self.in_columns(arm, rows))
+
+    def in_columns(self, arm: Arm, rows) -> "Solutions | Columns":
+        """The solutions with an array of its own for each number of each slot; of a family with `stacked`,
+        in rows."""
         goals, q_now, redundancy = rows
         count = goals.shape[0]
         entries = entries_in(goals)
         with pinning((divider_once if count <= FEW else divider)(entries[0][3])):
-            rows = rows_of(arm, entries, q_now, self.pose_tolerance, redundancy)
-            if rows is not None:
-                return from_rows(rows)
+            whole = rows_of(arm, entries, q_now, self.pose_tolerance, redundancy)
+            if whole is not None:
+                return from_rows(whole)
             slots = slots_of(arm, entries, q_now, self.pose_tolerance, redundancy)
-        q = to_rows([x for slot in slots for x in slot.q], count).reshape(count, len(slots), arm.n)
-        rest = {name: to_rows([getattr(slot, name) for slot in slots], count) for name in FIELDS}
-        return Solutions(q=q, is_pose=jnp.broadcast_to(slots[0].is_pose, (count,)), **rest)
+        fields = {name: [getattr(slot, name) for slot in slots] for name in FIELDS}
+        columns = Columns([slot.q for slot in slots], fields, jnp.asarray(slots[0].is_pose))
+        return jax.tree.map(lambda x: jnp.broadcast_to(x, (count,)), columns)
+
+    def in_rows(self, columns: "Solutions | Columns") -> Solutions:
+        """The solutions in rows."""
+        if isinstance(columns, Solutions):
+            return columns
+        count = columns.is_pose.shape[0]
+        q = to_rows([x for slot in columns.q for x in slot], count).reshape(count, len(columns.q), -1)
+        rest = {name: to_rows(x, count) for name, x in columns.fields.items()}
+        return Solutions(q=q, is_pose=columns.is_pose, **rest)
+
+
+class Columns(NamedTuple):
+    """Numbers of a block of goals, each an array (N,)."""
+
+    q: list[Sequence[jax.Array]]
+    """The joints of each slot."""
+    fields: dict[str, list[jax.Array]]
+    """Of each of `FIELDS`, that of each slot."""
+    is_pose: jax.Array
