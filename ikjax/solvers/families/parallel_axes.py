@@ -27,8 +27,6 @@ Elias and Wen, IK-Geo (2022), in circle form.
 """
 
 import functools
-import itertools
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -37,7 +35,6 @@ from ikjax.arm.forward import Link
 from ikjax.arm.recognition.signs import PairSplit, ParallelAxesSigns
 from ikjax.core import pose as poses
 from ikjax.core import safe, vector
-from ikjax.core.linear import damped_steps
 from ikjax.core.pose import Pose
 from ikjax.core.roots import circle_quartic, cosine_sine
 from ikjax.core.trig import Angle, Scalar, SinCos, add_small_angle
@@ -45,32 +42,9 @@ from ikjax.core.vector import Vector
 from ikjax.core.xla import agreed, pin, pin_all
 from ikjax.solvers.context import Branch, Setting
 from ikjax.solvers.families.planar import Plane, heading_of, three_joints
-from ikjax.solvers.steps.lines import Axis, axes_of, component, pose_turned, seen_from, turned
+from ikjax.solvers.steps.direction import Equation, Pair, Side, about, across_squared, ring_of, settled
+from ikjax.solvers.steps.lines import Axis, axes_of, component, pose_turned, seen_from
 from ikjax.solvers.steps.regional.third_joint import clearance
-from ikjax.solvers.steps.triangle import ring
-
-
-class Equation(NamedTuple):
-    """a cos(A) + b sin(A) + c cos(B) + d sin(B) = e"""
-
-    a: Scalar
-    b: Scalar
-    c: Scalar
-    d: Scalar
-    e: Scalar
-
-
-class Pair(NamedTuple):
-    """Joints A and B."""
-
-    first: Angle
-    second: Angle
-    margin: Scalar
-    free: Scalar = False
-    """Whether one of them is arbitrary."""
-    rise: Scalar = 1
-    """The sign of the derivative of the first equation where A and B move so that the second holds, A by less
-    than zero times that of the second by B."""
 
 
 def branches(
@@ -125,10 +99,10 @@ def _inner(axes, tip: Pose, goal: Pose, split: PairSplit, along, setting: Settin
         vector.rotate(back, h),
         vector.rotate(back, vector.subtract(two.point, one.point)),
     )
-    wrist = Side(_about(six, five), h, vector.subtract(four.point, five.point))
+    wrist = Side(about(six, five), h, vector.subtract(four.point, five.point))
     answers = []
     for pair in _pairs(equations, split, (0, 4), setting):
-        a, b, c, free = _settled(pair, base, wrist, six, -1, equations[1], _ring(axes[1:4]), 5, setting)
+        a, b, c, free = settled(pair, base, wrist, six, -1, equations[1], ring_of(axes[1:4]), 5, setting)
         # The parallel joints have to move `hand` to `rest`.
         rest = pose_turned(one, -a.sin, a.cos, goal)
         hand = pose_turned(five, b.sin, b.cos, pose_turned(six, c.sin, c.cos, tip))
@@ -157,15 +131,15 @@ def _last(b_alone: bool, axes, tip: Pose, goal: Pose, split: PairSplit, along, s
     a, b, rest = component(facing, one.along, link)
     c, d, other = component(fore, three.along, h)
     second = Equation(a, b, c, d, height - rest - other)
-    base = Side(_about(two, one), facing, vector.subtract(point, one.point))
-    arm = Side(_about(two, three), h, vector.subtract(four.point, three.point))
+    base = Side(about(two, one), facing, vector.subtract(point, one.point))
+    arm = Side(about(two, three), h, vector.subtract(four.point, three.point))
     answers = []
     if b_alone:
         pairs = _b_before_a(first, second, axes, facing, split, setting)
     else:
         pairs = _pairs((first, second), split, (0, 2), setting)
     for pair in pairs:
-        a, b, c, free = _settled(pair, base, arm, two, 1, second, _ring(axes[3:]), 1, setting, (one, link))
+        a, b, c, free = settled(pair, base, arm, two, 1, second, ring_of(axes[3:]), 1, setting, (one, link))
         rest = pose_turned(two, -c.sin, c.cos, pose_turned(one, -a.sin, a.cos, goal))
         rest = pose_turned(three, -b.sin, b.cos, rest)
         for way in _planar(axes[3:], tip, rest, along, setting, 3):
@@ -187,8 +161,8 @@ def _b_before_a(
     across = vector.cross(one.along, two.along)
     parallel = vector.dot(across, across) <= setting.zero_tolerance**2
     cosine = vector.dot(facing, two.along)
-    to_goal = safe.divide(_across_squared(two.along, facing), 1 + abs(cosine))
-    sines = [safe.sqrt(_across_squared(three.along, v)) for v in (two.along, four.along)]
+    to_goal = safe.divide(across_squared(two.along, facing), 1 + abs(cosine))
+    sines = [safe.sqrt(across_squared(three.along, v)) for v in (two.along, four.along)]
     cosines = [vector.dot(three.along, v) for v in (two.along, four.along)]
     same = sines[0] * cosines[1] - jnp.where(cosine < 0, -1, 1) * sines[1] * cosines[0]
     to_arm = safe.divide(same * same, 1 + safe.sqrt(1 - same * same))
@@ -235,209 +209,6 @@ def _planar(axes, tip: Pose, goal: Pose, along, setting: Setting, first: int):
         plane.point(tip.position),
         setting._replace(fallback=setting.fallback[first : first + 3]),
     )
-
-
-DIRECTION_STEPS = 2
-"""Steps on the direction itself. Of 10,000 goals with the direction 1e-9 to 0.1 rad off axis C, 336 went
-unanswered after one step and 270 after two (a scratch arm of right angles)."""
-
-
-class Side(NamedTuple):
-    """What one of joints A and B turns: the direction of the parallel axes, and a point of one of them."""
-
-    axis: Axis
-    """Of the joint; its point is seen from a point of axis C."""
-    direction: Vector
-    point: Vector
-    """Seen from the point of the axis."""
-
-    def turned(self, joint: Angle, sense: int) -> tuple[Vector, Vector, Vector]:
-        """The direction, its derivative by the joint, and the point seen from a point of axis C."""
-        sine, along = sense * joint.sin, self.axis.along
-        direction = turned(along, sine, joint.cos, self.direction)
-        point = vector.add(self.axis.point, turned(along, sine, joint.cos, self.point))
-        return direction, vector.scale(sense, vector.cross(along, direction)), point
-
-
-def _about(c: Axis, axis: Axis) -> Axis:
-    """An axis, its point seen from that of axis C."""
-    return axis._replace(point=vector.subtract(axis.point, c.point))
-
-
-def _ring(axes: tuple[Axis, ...]) -> tuple[Scalar, Scalar]:
-    """Least and greatest distance of the first of three parallel axes from the last."""
-    up = axes[0].along
-    links = (vector.subtract(b.point, a.point) for a, b in itertools.pairwise(axes))
-    return ring(*(vector.norm(vector.cross(up, link)) for link in links))
-
-
-def _settled(
-    pair: Pair,
-    base: Side,
-    hand: Side,
-    axis: Axis,
-    sense: int,
-    height: Equation,
-    span: tuple[Scalar, Scalar],
-    joint: int,
-    setting: Setting,
-    reach: tuple[Axis, Vector] | None = None,
-) -> tuple[Angle, Angle, Angle, jax.Array]:
-    """Joint C, and A and B after a step of damped least squares.
-
-    A and B come from an angle to the parallel axes by its cosine, which near 0 and 180 degrees loses half the
-    digits. The step is on the direction itself, as C turns it. Where that is along axis C, joint C is
-    arbitrary; it then stays where it was as far as the parallel joints reach.
-
-    Args:
-        pair: Joints A and B.
-        base: What A turns, against the sense.
-        hand: What B turns.
-        axis: The axis of C, which turns the direction of `hand` to that of `base`.
-        sense: 1 or -1: which way B and C turn it.
-        height: How far along the parallel axes the hand is.
-        span: Least and greatest distance of the points of `base` and `hand`.
-        joint: The number of C among the joints, from 0.
-        setting: Fallback and tolerances.
-        reach: Where joint A can be arbitrary too: its axis, and the point of axis C seen from a point of it.
-
-    Returns:
-        The three joints, and whether one of them is arbitrary.
-    """
-    a, b = pair.first, pair.second
-    for _ in range(DIRECTION_STEPS):
-        ends = pin_all((base.turned(a, -sense)[:2], hand.turned(b, sense)[:2]))
-        steps = _damped_step(ends, axis, sense, (a, b), height, joint, setting)
-        near = _step_along_height(ends, (a, b), base.axis, hand.axis, axis, height, pair.rise)
-        beside = _across_squared(axis.along, ends[0][0]) < NEAR_C**2
-        moves = tuple(jnp.where(beside, x, y) for x, y in zip(near, steps, strict=True))
-        most = jnp.where(beside, NEAR_C, setting.rounding**0.25)
-        small = functools.reduce(jnp.maximum, map(abs, moves)) < most
-        a, b = (
-            setting.angle(*add_small_angle(x.sin, x.cos, pin(jnp.where(small, move, 0))))
-            for x, move in zip((a, b), moves, strict=True)
-        )
-    given, _, start = hand.turned(b, sense)
-    wanted, _, target = base.turned(a, -sense)
-    c, free = _turn_to(axis, given, wanted, joint, sense, setting)
-    # So near the axis a joint is rounding: it goes where the parallel joints reach, and the direction stays
-    # within what `valid` can see.
-    near = setting.rounding**1.4
-    loose = free | (_across_squared(axis.along, wanted) < near)
-    if reach is not None:
-        # Where the direction is along axis A, it is the same at any turn of A.
-        one, link = reach
-        along_a = _across_squared(one.along, base.direction)
-        end = vector.add(link, turned(axis.along, sense * c.sin, c.cos, start))
-        end = tuple(jnp.where(loose, x, y) for x, y in zip(link, end, strict=True))
-        more = jnp.where(loose, safe.sqrt(_across_squared(axis.along, start)), 0)
-        wide = jnp.maximum(jnp.maximum(span[0] - more, more - span[1]), 0), span[1] + more
-        filled = _closing(one, sense, end, base.point, wide, a)
-        a = setting.angle(*(jnp.where(along_a < near, x, y) for x, y in zip(filled, a[:2], strict=True)))
-        free |= along_a <= setting.zero_tolerance**2
-        _, _, target = base.turned(a, -sense)
-    filled = _closing(axis, sense, start, target, span, c)
-    c = setting.angle(*(jnp.where(loose, x, y) for x, y in zip(filled, c[:2], strict=True)))
-    return a, b, c, free
-
-
-NEAR_C = 0.03
-"""[rad] So near axis C the step is along the height. The other one takes joint C as it is; it is better where
-two folds meet, and the line of equal height has no direction. A choice: both are good from 1e-6 to 0.1."""
-
-
-def _damped_step(ends, axis: Axis, sense: int, joints, height: Equation, joint: int, setting: Setting):
-    """A step of A and B on the direction itself, as C turns it now."""
-    (wanted, by_a), (given, by_b) = ends
-    a, b = joints
-    c, _ = _turn_to(axis, given, wanted, joint, sense, setting)
-    turn = functools.partial(turned, axis.along, sense * c.sin, c.cos)
-    columns = (
-        (*vector.scale(-1, by_a), height.b * a.cos - height.a * a.sin),
-        (*turn(by_b), height.d * b.cos - height.c * b.sin),
-    )
-    rest = height.e - height.a * a.cos - height.b * a.sin - height.c * b.cos - height.d * b.sin
-    gap = (*vector.subtract(wanted, turn(given)), rest)
-    return damped_steps(columns, gap, setting.zero_tolerance / 4)
-
-
-def _step_along_height(
-    ends, joints, axis_a: Axis, axis_b: Axis, axis: Axis, height: Equation, rise: Scalar
-) -> tuple[Scalar, Scalar]:
-    """A step of A and B to the root of the osculating quadratic along the line of equal height.
-
-    The first equation, of the angles of two directions to axis C, by their sines where they are small: there
-    their cosines have lost half the digits, and both derivatives of the equation are zero too.
-
-    Args:
-        rise: Which of the two roots: the sign of the derivative of the first equation along the line.
-    """
-    (wanted, by_a), (given, by_b) = ends
-    a, b = joints
-    along = axis.along
-    cos_a, cos_b = vector.dot(along, wanted), vector.dot(along, given)
-    both = cos_a + cos_b
-    squares = _across_squared(along, given) - _across_squared(along, wanted)
-    gap = jnp.where(abs(both) > 1, safe.divide(squares, both), cos_a - cos_b)
-    by_a, by_b = vector.dot(along, by_a), -vector.dot(along, by_b)
-    # The second derivative of a turned vector is its part along the axis less itself.
-    twice_a = vector.dot(axis_a.along, along) * vector.dot(axis_a.along, wanted) - cos_a
-    twice_b = cos_b - vector.dot(axis_b.along, along) * vector.dot(axis_b.along, given)
-    rest = height.e - height.a * a.cos - height.b * a.sin - height.c * b.cos - height.d * b.sin
-    p, q = height.b * a.cos - height.a * a.sin, height.d * b.cos - height.c * b.sin
-    size = safe.reciprocal_sqrt(p * p + q * q)
-    p, q, rest = pin_all((p * size, q * size, rest * size))
-    gap, by_a, by_b, twice_a, twice_b = pin_all((gap, by_a, by_b, twice_a, twice_b))
-    p = jnp.where((p == 0) & (q == 0), 1, p)
-    start = gap + (by_a * p + by_b * q) * rest + (twice_a * p * p + twice_b * q * q) * rest * rest / 2
-    rate = by_b * p - by_a * q + (twice_b - twice_a) * p * q * rest
-    twice = twice_a * q * q + twice_b * p * p
-    root = safe.sqrt(rate * rate - 2 * start * twice)
-    same = rate * rise >= 0
-    far = rise * root - rate
-    near = rise * root + rate
-    t = jnp.where(same, safe.divide(-2 * start, near), safe.divide(far, twice))
-    t = pin(t)
-    return p * rest - q * t, q * rest + p * t
-
-
-def _turn_to(axis: Axis, before: Vector, after: Vector, joint: int, sense: int, setting: Setting):
-    """The joint that turns one direction to another about its axis, and whether it is arbitrary."""
-    # Their parts square to the axis first: near it, products of the directions themselves lose those.
-    x, y = vector.cross(axis.along, before), vector.cross(axis.along, after)
-    cosine, sine = pin(vector.dot(x, y)), pin(vector.dot(axis.along, vector.cross(x, y)))
-    free = vector.dot(y, y) <= setting.zero_tolerance**2
-    weight = safe.reciprocal_sqrt(sine * sine + cosine * cosine)
-    return setting.filled(joint, free | (weight == 0), sense * sine * weight, cosine * weight), free
-
-
-def _closing(axis: Axis, sense: int, start: Vector, target: Vector, span, turn: Angle) -> SinCos:
-    """The turn nearest to one that brings the start within the span of the target.
-
-    Both are seen along the axis: their distance squared is p^2 + q^2 - 2 p q cos(angle between them).
-    """
-    cosine, sine, _ = component(target, axis.along, start)
-    size = safe.sqrt(cosine * cosine + sine * sine)
-    # The angle from the start at this turn to the target, by its cosine and sine times `size`.
-    ahead = cosine * turn.cos + sense * sine * turn.sin
-    aside = sense * sine * turn.cos - cosine * turn.sin
-    squares = sum(_across_squared(axis.along, v) for v in (start, target))
-    low, high = span
-    wanted = jnp.clip(ahead, (squares - high * high) / 2, (squares - low * low) / 2)
-    kept = wanted == ahead
-    wanted = jnp.clip(wanted, -size, size)
-    beside = jnp.where(aside < 0, -1, 1) * safe.sqrt((size - wanted) * (size + wanted))
-    # The turn is the angle to the target, less the angle that is left.
-    weight = safe.divide(1, size * size)
-    new_sin = (sense * sine * wanted - cosine * beside) * weight
-    new_cos = (cosine * wanted + sense * sine * beside) * weight
-    kept |= size == 0
-    return jnp.where(kept, turn.sin, new_sin), jnp.where(kept, turn.cos, new_cos)
-
-
-def _across_squared(along: Vector, v: Vector) -> Scalar:
-    across = vector.cross(along, v)
-    return vector.dot(across, across)
 
 
 def _pairs(equations: tuple[Equation, Equation], split: PairSplit, joints, setting: Setting) -> list[Pair]:
