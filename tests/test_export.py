@@ -51,6 +51,7 @@ def test_a_step_of_a_sweep_lowers_for_other_devices(monkeypatch):
     with pytest.raises(FoundError) as error:
         ikjax.sweep(PUMA, ikjax.maps.around(PUMA, 0.37), 65, dtype="float32")
     spec, tables = error.value.args
-    shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), tables)
+    data = tables, spec.parts.mounted
+    shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), data)
     index = jax.ShapeDtypeStruct((CALL, len(spec.positions.shape)), np.int32)
-    lowers(functools.partial(loop, spec), shapes, index, *[jax.ShapeDtypeStruct((), np.int32)] * 3)
+    lowers(functools.partial(loop, spec), *shapes, index, *[jax.ShapeDtypeStruct((), np.int32)] * 3)
