@@ -131,24 +131,22 @@ def settled(
     given, _, start = hand.turned(b, sense)
     wanted, _, target = base.turned(a, -sense)
     c, free = _turn_to(axis, given, wanted, joint, sense, setting)
-    # So near the axis a joint is rounding: it goes where the parallel joints reach, and the direction stays
-    # within what `valid` can see.
-    near = setting.rounding**1.4
-    loose = free | (across_squared(axis.along, wanted) < near)
+    # Beside the axis a joint is known to rounding over the sine of the angle to it. So it goes where the
+    # parallel joints reach, if the direction moves by less than `valid` can see.
+    unseen = setting.rounding**1.4
+    beside_c = across_squared(axis.along, wanted)
     if reach is not None:
         # Where the direction is along axis A, it is the same at any turn of A.
         one, link = reach
-        along_a = across_squared(one.along, base.direction)
+        beside_a, loose = across_squared(one.along, base.direction), free | (4 * beside_c < unseen)
         end = vector.add(link, turned(axis.along, sense * c.sin, c.cos, start))
         end = tuple(jnp.where(loose, x, y) for x, y in zip(link, end, strict=True))
         more = jnp.where(loose, safe.sqrt(across_squared(axis.along, start)), 0)
         wide = jnp.maximum(jnp.maximum(span[0] - more, more - span[1]), 0), span[1] + more
-        filled = _closing(one, sense, end, base.point, wide, a)
-        a = setting.angle(*(jnp.where(along_a < near, x, y) for x, y in zip(filled, a[:2], strict=True)))
-        free |= along_a <= setting.zero_tolerance**2
+        a = _within(unseen, beside_a, a, _closing(one, sense, end, base.point, wide, a), setting)
+        free |= beside_a <= setting.zero_tolerance**2
         _, _, target = base.turned(a, -sense)
-    filled = _closing(axis, sense, start, target, span, c)
-    c = setting.angle(*(jnp.where(loose, x, y) for x, y in zip(filled, c[:2], strict=True)))
+    c = _within(unseen, beside_c, c, _closing(axis, sense, start, target, span, c), setting)
     return a, b, c, free
 
 
@@ -220,6 +218,13 @@ def _turn_to(axis: Axis, before: Vector, after: Vector, joint: int, sense: int, 
     free = vector.dot(y, y) <= setting.zero_tolerance**2
     weight = safe.reciprocal_sqrt(sine * sine + cosine * cosine)
     return setting.filled(joint, free | (weight == 0), sense * sine * weight, cosine * weight), free
+
+
+def _within(unseen: Scalar, beside: Scalar, joint: Angle, closing: SinCos, setting: Setting) -> Angle:
+    """The joint at the turn that closes, if the direction moves by less than `unseen` (squared)."""
+    chord_squared = (closing[0] - joint.sin) ** 2 + (closing[1] - joint.cos) ** 2
+    ok = chord_squared * beside < unseen
+    return setting.angle(*(jnp.where(ok, x, y) for x, y in zip(closing, joint[:2], strict=True)))
 
 
 def _closing(axis: Axis, sense: int, start: Vector, target: Vector, span, turn: Angle) -> SinCos:
