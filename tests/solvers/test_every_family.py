@@ -385,7 +385,7 @@ def test_special_arms_at_right_angles_are_answered(name):
     assert not _wrong(arm, sol, goals, np.float64).any()
     if name != "axis 4 along axis 1":
         return
-    # Beside them too, where a joint is known to rounding over the sine of an angle, and the elbow is straight.
+    # Beside them too: a joint is known to rounding over the sine of an angle, and the elbow is straight.
     rng = np.random.default_rng(9)
     q = rng.integers(-1, 3, q.shape) * np.pi / 2 + 10 ** rng.uniform(-12, -3, q.shape)
     assert np.asarray(ikjax.solve(arm, ikjax.fk(arm, q)).valid).any(-1).all()
