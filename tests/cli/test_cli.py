@@ -16,17 +16,6 @@ GOAL = ["--xyz", "0.4", "0.2", "0.3", "--rpy", "179.9", "0", "34.4"]
 FAR = ["--xyz", "9", "0", "0"]
 
 
-@pytest.fixture
-def run(capsys):
-    """Exit code, stdout and stderr of a command."""
-
-    def call(*words):
-        code = cli.main([str(word) for word in words])
-        return code, *capsys.readouterr()
-
-    return call
-
-
 STUDY = """
 arm = "gx4_351s"
 spacing = {spacing}

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import ikjax
-from ikjax import cli
 from ikjax.cli import sections, study_file
 from ikjax.cli.parser import build_parser
 
@@ -47,15 +46,6 @@ def study(tmp_path):
 
 def options_of(*words) -> argparse.Namespace:
     return build_parser().parse_args([str(word) for word in words])
-
-
-@pytest.fixture
-def run(capsys):
-    def call(*words):
-        code = cli.main([str(word) for word in words])
-        return code, *capsys.readouterr()
-
-    return call
 
 
 def test_a_study_says_where_a_base_may_stand(study):

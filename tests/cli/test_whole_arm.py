@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 import ikjax
-from ikjax import cli
 from ikjax.cli import sections, study_file, table, whole_arm
 from ikjax.cli.parser import build_parser
 from ikjax.maps.store import manifest
@@ -23,15 +22,6 @@ DOCS = pathlib.Path(__file__).parents[2] / "docs"
 TOOL = ["--tool", "0", "0.02", "0.15", "0", "30", "0"]
 MOUNT = ["--mount", "0.5", "0", "0.8", "0", "0", "90"]
 STUDY = 'angles = "degrees"\nspacing = 0.5\norientations = 8\n'
-
-
-@pytest.fixture
-def run(capsys):
-    def call(*words):
-        code = cli.main([str(word) for word in words])
-        return code, *capsys.readouterr()
-
-    return call
 
 
 @pytest.fixture
